@@ -1,0 +1,65 @@
+"""Robots that help people, by the thousand: Assistive Gym in JAX and MuJoCo MJX.
+
+>>> import agym_jax
+>>> env = agym_jax.make("ScratchItchJaco-v0")
+>>> state = env.reset(jax.random.key(0))
+>>> state = env.step(state, jnp.zeros(env.action_size))
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from agym_jax import cache as _cache
+from agym_jax import mjx_patch as _mjx_patch
+from agym_jax.errors import AgymError
+
+if TYPE_CHECKING:
+    from agym_jax.env import AssistiveEnv as Env
+    from agym_jax.state import State
+
+__version__ = "0.1.0"
+__all__ = ["AgymError", "Env", "State", "list_envs", "make"]
+
+_cache.enable()
+_mjx_patch.apply()
+
+
+def make(name: str, impl: str = "auto", people: Any = None, num_worlds: int = 1) -> Env:
+    """Build an environment.
+
+    Args:
+        name: its id, such as ``"ScratchItchJaco-v0"``; ``list_envs()`` has them all.
+        impl: physics: ``"jax"`` (anywhere), ``"warp"`` (NVIDIA GPUs) or ``"auto"``.
+        people: an ``agym_jax.person.draw.People``, if not Assistive Gym's men and women.
+        num_worlds: how many worlds will be stepped together; sizes Warp's buffers.
+            ``agym_jax.wrappers.vectorize`` sets it for you.
+
+    Raises:
+        UnknownNameError: there is no such id; the message has the nearest.
+        ImplementationError: Warp was asked for and is not installed.
+    """
+    from agym_jax.env import AssistiveEnv
+    from agym_jax.registry import parse
+
+    recipe = parse(name)
+    return AssistiveEnv(recipe.task, recipe.robot, recipe.active, impl, people, num_worlds)
+
+
+def list_envs() -> list[str]:
+    """Every environment id."""
+    from agym_jax.registry import list_envs as ids
+
+    return ids()
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Env":
+        from agym_jax.env import AssistiveEnv
+
+        return AssistiveEnv
+    if name == "State":
+        from agym_jax.state import State
+
+        return State
+    raise AttributeError(f"module 'agym_jax' has no attribute {name!r}")

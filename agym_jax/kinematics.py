@@ -1,0 +1,182 @@
+"""Serial chains in JAX: forward kinematics, Jacobian and batched inverse kinematics.
+
+Written for one chain and one pose; ``jax.vmap`` over targets, restarts, bases. Used offline to build
+placement banks, by tests as an oracle, and by scripted motions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jax import Array
+
+from agym_jax.errors import SpecError
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Hinges in series from a base to a site, read from a compiled model.
+
+    Attributes:
+        pos: of each joint's frame in the one before [m] (n, 3).
+        rot: its rotation matrix (n, 3, 3).
+        axis: of each hinge in its own frame (n, 3).
+        tip_pos: of the site in the last frame [m] (3,).
+        tip_rot: its rotation matrix (3, 3).
+        lower: joint limits [rad] (n,).
+        upper: joint limits [rad] (n,).
+    """
+
+    pos: np.ndarray
+    rot: np.ndarray
+    axis: np.ndarray
+    tip_pos: np.ndarray
+    tip_rot: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def chain_of(model: mujoco.MjModel, joints: np.ndarray, site: int, base: int) -> Chain:
+    """The chain of some hinges that ends at a site.
+
+    Args:
+        model: compiled model.
+        joints: joint ids from the base outwards (n,).
+        site: site id.
+        base: body id; poses are relative to its frame.
+
+    Raises:
+        SpecError: a joint is not a hinge, or not between base and site.
+    """
+    path, b = [], int(model.site_bodyid[site])
+    while b != base:
+        if b == 0:
+            raise SpecError(f"Site {model.site(site).name!r} does not hang on body {model.body(base).name!r}.")
+        path.append(b)
+        b = int(model.body_parentid[b])
+    rows: dict[str, list] = {"pos": [], "rot": [], "axis": []}
+    pos, rot = np.zeros(3), np.eye(3)
+    wanted = [int(j) for j in joints]
+    for b in reversed(path):
+        pos = pos + rot @ model.body_pos[b]
+        rot = rot @ rotation_matrix(model.body_quat[b])
+        for j in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]):
+            if j not in wanted:
+                continue
+            if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE:
+                raise SpecError(f"Joint {model.joint(j).name!r} is not a hinge.")
+            anchor = pos + rot @ model.jnt_pos[j]
+            rows["pos"].append(anchor)
+            rows["rot"].append(rot)
+            rows["axis"].append(np.array(model.jnt_axis[j]))
+            pos, rot = -model.jnt_pos[j], np.eye(3)
+    if len(rows["pos"]) != len(wanted):
+        raise SpecError(f"{len(wanted) - len(rows['pos'])} joints are not between base and site.")
+    tip_pos = pos + rot @ model.site_pos[site]
+    tip_rot = rot @ rotation_matrix(model.site_quat[site])
+    limits = model.jnt_range[wanted]
+    return Chain(
+        *(np.array(rows[k], np.float32) for k in ("pos", "rot", "axis")),
+        tip_pos.astype(np.float32), tip_rot.astype(np.float32),
+        limits[:, 0].astype(np.float32), limits[:, 1].astype(np.float32),
+    )  # fmt: skip
+
+
+def rotation_matrix(quat: np.ndarray) -> np.ndarray:
+    """Rotation matrix (3, 3) of a quaternion wxyz (4,)."""
+    out = np.zeros(9)
+    mujoco.mju_quat2Mat(out, np.asarray(quat, float))
+    return out.reshape(3, 3)
+
+
+def rotate_about(axis: Array, angle: Array) -> Array:
+    """Rotation matrix (3, 3) about a unit axis (3,) by an angle [rad] ()."""
+    x, y, z = axis
+    zero = jnp.zeros_like(x)
+    k = jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
+    return jnp.eye(3) + jnp.sin(angle) * k + (1.0 - jnp.cos(angle)) * (k @ k)
+
+
+def forward(chain: Chain, angles: Array) -> tuple[Array, Array, Array]:
+    """Pose of the tip in the base frame, and its Jacobian.
+
+    Args:
+        chain: n hinges.
+        angles: [rad] (n,).
+
+    Returns:
+        position [m] (3,), rotation matrix (3, 3), Jacobian (6, n): linear rows first.
+    """
+    pos, rot = jnp.zeros(3), jnp.eye(3)
+    anchors, axes = [], []
+    for i in range(len(chain.lower)):
+        pos = pos + rot @ chain.pos[i]
+        rot = rot @ chain.rot[i]
+        anchors.append(pos)
+        axes.append(rot @ chain.axis[i])
+        rot = rot @ rotate_about(jnp.asarray(chain.axis[i]), angles[i])
+    tip, tip_rot = pos + rot @ chain.tip_pos, rot @ chain.tip_rot
+    axis = jnp.stack(axes)
+    linear = jnp.cross(axis, tip - jnp.stack(anchors))
+    return tip, tip_rot, jnp.concatenate([linear.T, axis.T])
+
+
+def rotation_error(rot: Array, goal: Array) -> Array:
+    """Rotation vector [rad] (3,) that turns ``rot`` into ``goal``, both (3, 3), in their parent frame."""
+    m = goal @ rot.T
+    skew = jnp.stack([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]) / 2
+    sin = jnp.linalg.norm(skew + 1e-12)
+    angle = jnp.arctan2(sin, (jnp.trace(m) - 1) / 2)
+    return skew / sin * angle
+
+
+def inverse(
+    chain: Chain, start: Array, pos: Array, rot: Array, steps: int = 60, damping: float = 1e-3
+) -> tuple[Array, Array, Array]:
+    """Damped least squares towards one pose, clipped to the joint limits at every step.
+
+    Args:
+        chain: n hinges.
+        start: where to begin [rad] (n,).
+        pos: of the tip in the base frame [m] (3,).
+        rot: of the tip, rotation matrix (3, 3).
+        steps: iterations.
+        damping: of the least squares.
+
+    Returns:
+        angles [rad] (n,), remaining distance [m] (), remaining rotation [rad] ().
+    """
+
+    def error(angles: Array) -> tuple[Array, Array]:
+        tip, tip_rot, jacobian = forward(chain, angles)
+        return jnp.concatenate([pos - tip, 0.3 * rotation_error(tip_rot, rot)]), jacobian
+
+    def step(angles: Array, _: None) -> tuple[Array, None]:
+        e, j = error(angles)
+        j = j.at[3:].multiply(0.3)
+        delta = j.T @ jnp.linalg.solve(j @ j.T + damping * jnp.eye(6), e)
+        delta = delta * jnp.minimum(1.0, 0.5 / (jnp.max(jnp.abs(delta)) + 1e-9))
+        return jnp.clip(angles + delta, chain.lower, chain.upper), None
+
+    angles, _ = jax.lax.scan(step, start, length=steps)
+    e, _ = error(angles)
+    return angles, jnp.linalg.norm(e[:3]), jnp.linalg.norm(e[3:]) / 0.3
+
+
+def isotropy(chain: Chain, angles: Array) -> Array:
+    """Joint-limit-weighted kinematic isotropy, 0 (singular or at a limit) to 1 ().
+
+    AG v0.1 ``util.py`` / ``env.py`` joint_limited_weighting (reference robots.md section 7).
+    """
+    _, _, jacobian = forward(chain, angles)
+    reach = jnp.minimum((chain.upper - chain.lower) / 2, jnp.pi)
+    middle = (chain.upper + chain.lower) / 2
+    room = reach - jnp.minimum(jnp.abs(angles - middle), reach)
+    weight = jnp.maximum(0.001, 1.0 - 0.5 ** (room / (0.05 * reach) + 1.0))
+    jwj = (jacobian * weight) @ jacobian.T
+    determinant = jnp.maximum(jnp.linalg.det(jwj), 0.0)
+    return determinant ** (1 / 6) / (jnp.trace(jwj) / 6)

@@ -1,0 +1,63 @@
+"""How the person's joints are driven: muscles under a torque bound, tremor, the active person.
+
+Assistive Gym's position motor asks for the velocity ``rate * (target - angle)`` with a torque of at
+most ``max_torque * strength`` (reference humans.md section 7). Here the muscle's torque, the one that
+bears the limb's weight included, is clipped to the same bound, and the damping of that velocity
+servo is the joint's own, which MuJoCo integrates implicitly.
+
+DEVIATION(muscle-damping): a limb pushed by the robot yields like a damper instead of standing still
+up to the torque bound and moving freely beyond it.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from agym_jax.spec import PersonSpec
+
+HOLD_STIFFNESS = 5.0
+"""Of a still person of full strength [N m/rad]: the 1 N m bound is reached 0.2 rad off the pose."""
+MOVE_DAMPING = 1.6
+"""Of a moving person of full strength [N m s/rad]: a full action (0.25 rad at 2.5 /s) against a
+blocked joint takes the 1 N m bound."""
+TISSUE_DAMPING = 0.4
+"""What even the weakest joint has [N m s/rad]. An estimate."""
+
+
+def is_moving(tremor: jax.Array, active: bool) -> jax.Array:
+    """Whether the person drives the joints at the move rate: active, or trembling ()."""
+    return jnp.logical_or(active, jnp.any(tremor != 0.0))
+
+
+def damping(spec: PersonSpec, strength: jax.Array, moving: jax.Array) -> jax.Array:
+    """Damping of every controllable joint [N m s/rad] ()."""
+    hold = HOLD_STIFFNESS / spec.hold_rate
+    return TISSUE_DAMPING + strength * jnp.where(moving, MOVE_DAMPING, hold) * spec.max_torque
+
+
+def torque(
+    spec: PersonSpec,
+    target: jax.Array,
+    angle: jax.Array,
+    load: jax.Array,
+    strength: jax.Array,
+    moving: jax.Array,
+) -> jax.Array:
+    """Muscle torque without its damping [N m].
+
+    Args:
+        spec: rates and torque bound.
+        target: angles to reach [rad] (n,).
+        angle: measured angles [rad] (n,).
+        load: gravity and inertial torque that the joints bear (qfrc_bias) [N m] (n,).
+        strength: of the person ().
+        moving: from ``is_moving`` ().
+
+    Returns:
+        (n,)
+    """
+    rate = jnp.where(moving, spec.move_rate, spec.hold_rate)
+    gain = damping(spec, strength, moving) * rate
+    bound = spec.max_torque * strength
+    return jnp.clip(load + gain * (target - angle), -bound, bound)

@@ -1,0 +1,34 @@
+"""The human-preference terms that every task shares.
+
+Assistive Gym v0.1 ``env.py`` human_preferences (reference humans.md section 9): people like slow
+hands, no touch where no help is needed, and no hard touch where it is.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from agym_jax.spec import Preferences
+
+
+def preference_terms(
+    weights: Preferences,
+    tool_speed: jax.Array,
+    force_on_person: jax.Array,
+    force_at_target: jax.Array,
+) -> dict[str, jax.Array]:
+    """Weighted preference terms, each at most 0.
+
+    Args:
+        weights: of the terms.
+        tool_speed: of the tool or end effector [m/s] ().
+        force_on_person: of tool and robot together [N] ().
+        force_at_target: of the tool where help is wanted [N] ().
+    """
+    high = jnp.where(force_at_target < 10.0, 0.0, force_at_target)
+    return {
+        "preference_velocity": -weights.velocity * tool_speed,
+        "preference_force_nontarget": -weights.force_nontarget * (force_on_person - force_at_target),
+        "preference_high_forces": -weights.high_forces * high,
+    }

@@ -1,0 +1,179 @@
+"""Frozen records that describe robots, tools, seats, people and tasks, and the Task protocol.
+
+A robot file and a task file hold nothing but these records and pure functions; ``scene.py`` turns
+them into a MuJoCo model, ``env.py`` into an environment. Lengths in metres, angles in radians,
+quaternions wxyz, unless a name says otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import jax
+
+from agym_jax.errors import SpecError
+
+Vec3 = tuple[float, float, float]
+Quat = tuple[float, float, float, float]
+IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A rigid pose: position [m] and quaternion wxyz."""
+
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    quat: Quat = IDENTITY
+
+
+@dataclass(frozen=True)
+class Control:
+    """How fast a task is controlled and simulated, and how strong its motors are.
+
+    Assistive Gym's motor asks for the joint velocity ``rate * (target - angle)`` under a torque
+    bound, with the target one full displacement from the angle measured at the start of the
+    control step. Here it is the linear servo ``torque = damping * (rate * (target - angle) -
+    velocity)`` whose damping is chosen so that a full action against a blocked joint presses with
+    exactly the bound: no clipping, hence the same meaning in every MJX implementation.
+    """
+
+    time_step: float  # physics step [s]
+    frame_skip: int  # physics steps in a control step
+    rate: float  # AG's motor gain / solver sub-step [1/s]
+    max_torque: float  # torque of a full action against a blocked joint [N m]
+    action_scale: float  # target displacement of a full action [rad]
+
+    def __post_init__(self) -> None:
+        if self.frame_skip < 1 or self.time_step <= 0:
+            raise SpecError(
+                f"Control needs time_step > 0 and frame_skip >= 1, got {self.time_step}, {self.frame_skip}."
+            )
+
+    @property
+    def period(self) -> float:
+        """Length of a control step [s]."""
+        return self.time_step * self.frame_skip
+
+    @property
+    def damping(self) -> float:
+        """Velocity gain of a robot joint's servo [N m s/rad]."""
+        return self.max_torque / (self.rate * self.action_scale)
+
+    @property
+    def stiffness(self) -> float:
+        """Position gain of a robot joint's servo [N m/rad]."""
+        return self.damping * self.rate
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One arm of a robot: joints in action order and the sites that locate its hand."""
+
+    joints: tuple[str, ...]
+    end_effector: str  # site: the link that Assistive Gym steers
+    tool_frame: str  # site: canonical tool frame, z = approach, x = across the fingers
+    gripper: tuple[str, ...]  # finger joints
+    links: tuple[str, ...]  # collision geoms that may touch the person, hand first
+
+
+@dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
+class RobotSpec:
+    """A robot: its MJCF and the names in it that a scene needs."""
+
+    name: str  # as in the environment ids
+    model: str  # asset
+    arms: Mapping[str, Arm]  # "left", "right"; one-armed robots give the same arm twice
+    torso: str  # site that observations are relative to
+    gripper_opening: Mapping[str, float]  # tool name -> finger joint position
+    grasps: Mapping[str, Pose] = field(default_factory=dict)  # tool -> pose, over the tool's own
+    bases: Mapping[str, Pose] = field(default_factory=dict)  # seat -> fixed base; else searched
+    mounts: Mapping[str, str] = field(default_factory=dict)  # seat -> asset that carries the base
+    start_rotations: Mapping[str, Quat] = field(default_factory=dict)  # task -> hand orientation
+
+    def arm(self, side: str) -> Arm:
+        """The arm on one side; raises SpecError if the robot lacks it."""
+        if side not in self.arms:
+            raise SpecError(f"{self.name} has no {side!r} arm, only: {', '.join(self.arms)}.")
+        return self.arms[side]
+
+
+@dataclass(frozen=True)
+class ToolSpec:
+    """A tool held rigidly in the hand."""
+
+    name: str
+    model: str  # asset
+    grasp: Pose  # of the tool in the canonical tool frame
+    tip: str  # site that the task calls the tool's position
+    geoms: tuple[str, ...]  # collision geoms, the working one first
+
+
+@dataclass(frozen=True)
+class SeatSpec:
+    """What the person sits or lies on, in world coordinates."""
+
+    name: str
+    model: str  # asset
+    geoms: tuple[str, ...]  # collision geoms that a tool or limb may touch
+
+
+@dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
+class PersonSpec:
+    """The person's part in a task: which joints move, from which pose, and how strongly."""
+
+    joints: tuple[str, ...]  # controllable joints, in action order
+    pose: Mapping[str, float]  # joint -> angle [rad]; the others 0, all clamped to the limits
+    hold_rate: float  # rate of a person who holds still [1/s]
+    move_rate: float  # rate of an active or trembling person [1/s]
+    max_torque: float  # of a person of full strength [N m]
+    tremor_amplitude: float  # bound of the uniform draw per joint [rad]
+    impairments: tuple[str, ...]  # drawn uniformly
+    limbs: tuple[str, ...]  # person bodies that tool and robot may touch
+    arm: str = "right"  # the arm whose shoulder, elbow and wrist are observed
+
+
+@dataclass(frozen=True)
+class Preferences:
+    """Weights of the human-preference terms. AG v0.1 config.ini [human_preferences]."""
+
+    velocity: float = 0.25
+    force_nontarget: float = 0.01
+    high_forces: float = 0.05
+
+
+class Task(Protocol):
+    """A task: data for the scene, and pure functions of what one control step shows."""
+
+    name: str
+    control: Control
+    gravity: float  # world z [m/s^2], on the person only
+    arm: str  # side of the robot's arm
+    tool: ToolSpec
+    seat: SeatSpec
+    person: PersonSpec
+    episode_length: int  # control steps
+    start: Callable[..., Any]  # (key) -> tool-hand position to start from, world [m] (3,)
+    robot_obs: type
+    person_obs: type
+
+    def init(self, key: jax.Array, sensed: Any) -> Any:
+        """Draw the episode's goal; returns the task's own pytree."""
+        ...
+
+    def advance(self, state: Any, sensed: Any) -> tuple[Any, dict[str, jax.Array]]:
+        """Bookkeeping of one control step; returns the new state and this step's events."""
+        ...
+
+    def rewards(self, state: Any, events: dict, sensed: Any, action: jax.Array) -> dict:
+        """Named reward terms, already weighted; their sum is the reward."""
+        ...
+
+    def observe(self, state: Any, sensed: Any) -> tuple[Any, Any]:
+        """Robot's and person's observation records."""
+        ...
+
+    def success(self, state: Any) -> jax.Array:
+        """Whether the episode counts as a success so far ()."""
+        ...

@@ -1,0 +1,58 @@
+"""The state of one world: what ``reset`` returns and ``step`` maps to the next."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+
+from agym_jax.person.draw import Person
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Placement:
+    """Where the robot starts: one row of a placement bank."""
+
+    base_pos: jax.Array  # world [m]                                         (3,)
+    base_quat: jax.Array  # wxyz                                             (4,)
+    arm_angles: jax.Array  # [rad]                                           (n_arm,)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Episode:
+    """Everything that is drawn once an episode, and its clock."""
+
+    person: Person
+    placement: Placement
+    person_angles: jax.Array  # start angles of the controllable joints [rad]  (n_person,)
+    person_target: jax.Array  # what the muscles hold, without tremor [rad]    (n_person,)
+    step: jax.Array  # control steps done, int32                               ()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class State:
+    """One world. Satisfies Brax's ``State`` in use: obs, reward, done, metrics, info, ``replace``."""
+
+    data: Any  # mjx.Data
+    obs: jax.Array  # robot's columns, then the active person's               (n_obs,)
+    reward: jax.Array  #                                                      ()
+    done: jax.Array  # 1.0 when the episode is over                           ()
+    metrics: dict[str, jax.Array]  # every reward term, forces, success, ...   each ()
+    info: dict[str, Any]  # belongs to wrappers; the environment never reads it
+    task: Any  # the task's own pytree
+    episode: Episode
+    key: jax.Array
+
+    def replace(self, **changes: Any) -> State:
+        """A copy with some fields changed."""
+        return dataclasses.replace(self, **changes)
+
+    @property
+    def pipeline_state(self) -> Any:
+        """Brax's name for ``data``."""
+        return self.data

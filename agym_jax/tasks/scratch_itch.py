@@ -1,0 +1,239 @@
+"""ScratchItch: find the itch on the person's right arm and scratch it, gently.
+
+Assistive Gym v0.1 ``scratch_itch.py`` (reference tasks.md section 2). The itch lies on the right upper
+arm or forearm and moves with it. A scratch counts when the tool touches within 2.5 cm of the itch with
+less than 10 N, more than 1 cm away from where the last one counted; 25 scratches are a success.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from agym_jax.furniture import WHEELCHAIR
+from agym_jax.observe import column, observation
+from agym_jax.person.body import RIGHT_ARM
+from agym_jax.preferences import preference_terms
+from agym_jax.sense import Sensed
+from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
+
+_H = math.sqrt(0.5)
+_RAD = math.pi / 180.0
+
+
+@dataclass(frozen=True)
+class Config:
+    """Weights and thresholds. AG v0.1 config.ini [scratch_itch] unless said."""
+
+    distance: float = 1.0  # distance_weight
+    action: float = 0.01  # action_weight
+    tool_force: float = 0.01  # tool_force_weight
+    scratch: float = 2.0  # scratch_reward_weight
+    scratches: int = 25  # task_success_threshold
+    target_radius: float = 0.025  # [m], AG scratch_itch.py get_total_force
+    stroke: float = 0.01  # [m] from the last rewarded contact, AG scratch_itch.py step
+    gentle: float = 10.0  # [N], AG scratch_itch.py step
+    preferences: Preferences = Preferences()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ItchState:
+    """The itch of one episode and what has been done about it."""
+
+    on_forearm: Array  # the limb: 0 upper arm, 1 forearm                       ()
+    target_limb: Array  # the itch in the limb's frame [m]                     (3,)
+    target_pos_w: Array  # the itch in the world, now [m]                      (3,)
+    last_scratch_w: Array  # contact point of the last counted scratch [m]     (3,)
+    scratches: Array  # how many counted                                       ()
+    force_at_target: Array  # of the tool, near the itch [N]                   ()
+
+
+@observation
+class RobotObs:
+    """What the robot sees."""
+
+    tool_pos_torso: Array = column(3, "m", "world axes, from the robot's torso", "scratch_itch.py:74")
+    tool_quat_w: Array = column(4, "1 (wxyz)", "world", "scratch_itch.py:74")
+    tool_pos_target: Array = column(3, "m", "world axes, from the itch", "scratch_itch.py:74")
+    target_pos_torso: Array = column(3, "m", "world axes, from the torso", "scratch_itch.py:74")
+    arm_angles: Array = column(7, "rad", "joints", "scratch_itch.py:74")
+    shoulder_pos_torso: Array = column(3, "m", "world axes, from the torso", "scratch_itch.py:74")
+    elbow_pos_torso: Array = column(3, "m", "world axes, from the torso", "scratch_itch.py:74")
+    wrist_pos_torso: Array = column(3, "m", "world axes, from the torso", "scratch_itch.py:74")
+    tool_force: Array = column(1, "N", "sum over all contacts of the tool", "scratch_itch.py:74")
+
+
+@observation
+class PersonObs:
+    """What the active person sees and feels."""
+
+    tool_pos_person: Array = column(3, "m", "world axes, from the chest", "scratch_itch.py:79")
+    tool_quat_w: Array = column(4, "1 (wxyz)", "world", "scratch_itch.py:79")
+    tool_pos_target: Array = column(3, "m", "world axes, from the itch", "scratch_itch.py:79")
+    target_pos_person: Array = column(3, "m", "world axes, from the chest", "scratch_itch.py:79")
+    person_angles: Array = column(10, "rad", "right arm's joints", "scratch_itch.py:79")
+    shoulder_pos_person: Array = column(3, "m", "world axes, from the chest", "scratch_itch.py:79")
+    elbow_pos_person: Array = column(3, "m", "world axes, from the chest", "scratch_itch.py:79")
+    wrist_pos_person: Array = column(3, "m", "world axes, from the chest", "scratch_itch.py:79")
+    force_on_person: Array = column(1, "N", "tool and robot on the person", "scratch_itch.py:79")
+    force_at_target: Array = column(1, "N", "tool on the itch", "scratch_itch.py:79")
+
+
+SCRATCHER = ToolSpec(
+    name="scratcher",
+    model="tools/scratcher.xml",
+    # AG: tool x along the approach, tool y = hand y, at 2 cm (robots.md section 9, Jaco)
+    grasp=Pose((0.0, 0.0, 0.02), (_H, 0.0, -_H, 0.0)),
+    tip="tool_tip",
+    geoms=("scratcher_rod_collision", "scratcher_handle_collision"),
+)
+
+
+@dataclass(frozen=True)
+class ScratchItch:
+    """The task: data for the scene, and pure functions for the environment."""
+
+    config: Config = Config()
+    name: str = "ScratchItch"
+    # AG env.py and scratch_itch.py: 0.02 s x 5, gain 0.05 a step, 1 N m, 5 x 0.05 rad
+    control: Control = Control(
+        time_step=0.02, frame_skip=5, rate=0.05 / 0.02, max_torque=1.0, action_scale=0.25
+    )
+    gravity: float = -1.0  # AG scratch_itch.py reset: on the person only
+    arm: str = "left"
+    tool: ToolSpec = SCRATCHER
+    seat: SeatSpec = WHEELCHAIR
+    person: PersonSpec = PersonSpec(
+        joints=RIGHT_ARM,
+        # AG scratch_itch.py reset: joints_positions
+        pose={
+            "r_shoulder_y": 30 * _RAD, "r_elbow_x": -90 * _RAD, "l_elbow_x": -90 * _RAD,
+            "r_hip_x": -90 * _RAD, "r_knee_x": 80 * _RAD,
+            "l_hip_x": -90 * _RAD, "l_knee_x": 80 * _RAD,
+        },
+        hold_rate=0.01 / 0.02,  # AG: reactive gain 0.01
+        move_rate=0.05 / 0.02,  # AG: gain 0.05 for tremor and the active person
+        max_torque=1.0,
+        tremor_amplitude=10 * _RAD,
+        impairments=("none", "limits", "weakness", "tremor"),
+        limbs=("right_upper_arm", "right_forearm", "right_hand", "right_girdle",
+               "chest", "waist", "head", "right_thigh"),
+    )  # fmt: skip
+    episode_length: int = 200
+    robot_obs: type = RobotObs
+    person_obs: type = PersonObs
+
+    def start(self, key: Array) -> Array:
+        """Where the hand starts, world [m] (3,). AG scratch_itch.py reset, Jaco."""
+        return jnp.array([-0.5, 0.0, 0.8]) + jax.random.uniform(key, (3,), minval=-0.05, maxval=0.05)
+
+    def init(self, key: Array, sensed: Sensed) -> ItchState:
+        """Draw the itch: a point on the skin of the upper arm or the forearm.
+
+        AG scratch_itch.py generate_target: s in [radius, length] along the limb, any angle around it.
+        """
+        key_limb, key_along, key_around = jax.random.split(key, 3)
+        on_forearm = jax.random.bernoulli(key_limb).astype(jnp.float32)
+        length = jnp.where(on_forearm > 0, sensed.forearm_length, sensed.upper_arm_length)
+        radius = jnp.where(on_forearm > 0, sensed.forearm_radius, sensed.upper_arm_radius)
+        s = radius + (length - radius) * jax.random.uniform(key_along)
+        angle = jax.random.uniform(key_around, maxval=2 * jnp.pi)
+        local = jnp.stack([-radius * jnp.sin(angle), -radius * jnp.cos(angle), -s])
+        state = ItchState(
+            on_forearm=on_forearm,
+            target_limb=local,
+            target_pos_w=jnp.zeros(3),
+            last_scratch_w=jnp.zeros(3),  # AG starts at the world's origin
+            scratches=jnp.float32(0.0),
+            force_at_target=jnp.float32(0.0),
+        )
+        return _follow_limb(state, sensed)
+
+    def advance(self, state: ItchState, sensed: Sensed) -> tuple[ItchState, dict[str, Array]]:
+        """Move the itch with the limb, and count a scratch if there was one."""
+        c = self.config
+        state = _follow_limb(state, sensed)
+        near = jnp.linalg.norm(sensed.touch_pos_w - state.target_pos_w, axis=-1) < c.target_radius
+        at_target = jnp.where(near, sensed.touch_force, 0.0)
+        force = jnp.sum(at_target)
+        point = sensed.touch_pos_w[jnp.argmax(at_target)]
+        moved = jnp.linalg.norm(point - state.last_scratch_w) > c.stroke
+        is_scratch = (force > 0.0) & moved & (force < c.gentle)
+        state = replace(
+            state,
+            last_scratch_w=jnp.where(is_scratch, point, state.last_scratch_w),
+            scratches=state.scratches + is_scratch,
+            force_at_target=force,
+        )
+        return state, {"scratch": jnp.where(is_scratch, force, 0.0)}
+
+    def rewards(
+        self, state: ItchState, events: dict[str, Array], sensed: Sensed, action: Array
+    ) -> dict[str, Array]:
+        """Weighted terms. AG scratch_itch.py step; the action is clipped (deviation action-penalty)."""
+        c = self.config
+        distance = jnp.linalg.norm(state.target_pos_w - sensed.tool_pos_w)
+        return {
+            "distance": -c.distance * distance,
+            "action": -c.action * jnp.sum(jnp.square(action)),
+            "tool_force": c.tool_force * state.force_at_target,
+            "scratch": c.scratch * events["scratch"],
+            **preference_terms(
+                c.preferences,
+                jnp.linalg.norm(sensed.tool_vel_w),
+                sensed.tool_on_person + sensed.robot_on_person,
+                state.force_at_target,
+            ),
+        }
+
+    def observe(self, state: ItchState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+        """What robot and person see."""
+        s, torso, chest = sensed, sensed.torso_pos_w, sensed.person_pos_w
+        robot = RobotObs(
+            tool_pos_torso=s.tool_pos_w - torso,
+            tool_quat_w=s.tool_quat_w,
+            tool_pos_target=s.tool_pos_w - state.target_pos_w,
+            target_pos_torso=state.target_pos_w - torso,
+            arm_angles=s.arm_angles,
+            shoulder_pos_torso=s.shoulder_pos_w - torso,
+            elbow_pos_torso=s.elbow_pos_w - torso,
+            wrist_pos_torso=s.wrist_pos_w - torso,
+            tool_force=s.tool_force,
+        )
+        person = PersonObs(
+            tool_pos_person=s.tool_pos_w - chest,
+            tool_quat_w=s.tool_quat_w,
+            tool_pos_target=s.tool_pos_w - state.target_pos_w,
+            target_pos_person=state.target_pos_w - chest,
+            person_angles=s.person_angles,
+            shoulder_pos_person=s.shoulder_pos_w - chest,
+            elbow_pos_person=s.elbow_pos_w - chest,
+            wrist_pos_person=s.wrist_pos_w - chest,
+            force_on_person=s.tool_on_person + s.robot_on_person,
+            force_at_target=state.force_at_target,
+        )
+        return robot, person
+
+    def success(self, state: ItchState) -> Array:
+        """Whether 25 scratches have counted ()."""
+        return state.scratches >= self.config.scratches
+
+    def markers(self, state: ItchState) -> list[tuple[Array, float, tuple[float, ...]]]:
+        """Points to draw: world position, radius [m], colour. AG: a cyan sphere of 1 cm."""
+        return [(state.target_pos_w, 0.01, (0.0, 1.0, 1.0, 1.0))]
+
+
+def _follow_limb(state: ItchState, sensed: Sensed) -> ItchState:
+    """The itch in the world, on the limb as it now is."""
+    on_forearm = state.on_forearm > 0
+    pos = jnp.where(on_forearm, sensed.elbow_pos_w, sensed.shoulder_pos_w)
+    rot = jnp.where(on_forearm, sensed.forearm_rot_w, sensed.upper_arm_rot_w)
+    return replace(state, target_pos_w=pos + rot @ state.target_limb)
+
+
+SCRATCH_ITCH = ScratchItch()

@@ -1,0 +1,90 @@
+"""Many worlds at once, with auto-reset: every finished episode restarts as somebody else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from agym_jax.errors import ActionError
+
+
+class VectorEnv:
+    """A batch of worlds of one environment; ``reset`` and ``step`` are pure.
+
+    When an episode ends, ``step`` returns the first observation of the next one in ``obs``, and the
+    true last observation in ``info["terminal_obs"]``. ``info["truncation"]`` is 1.0 where the episode
+    ended by its length, as all of Assistive Gym's do, rather than by the NaN guard.
+    """
+
+    def __init__(self, env: Any, num_envs: int):
+        self.env = env.sized_for(num_envs)
+        self.num_envs = num_envs
+        self.name = env.name
+        self.episode_length = env.episode_length
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "env":
+            raise AttributeError(name)
+        return getattr(self.env, name)
+
+    @property
+    def observation_size(self) -> int:
+        """Columns of one observation."""
+        return self.env.observation_size
+
+    @property
+    def action_size(self) -> int:
+        """Entries of one action."""
+        return self.env.action_size
+
+    def reset(self, key: Array) -> Any:
+        """A batch of fresh episodes.
+
+        Args:
+            key: one PRNG key, or one for each world.
+        """
+        one = key.ndim == (0 if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else 1)
+        keys = jax.random.split(key, self.num_envs) if one else key
+        state = jax.vmap(self.env.reset)(keys)
+        zeros = jnp.zeros(self.num_envs)
+        return state.replace(info={"terminal_obs": state.obs, "truncation": zeros})
+
+    def step(self, state: Any, action: Array) -> Any:
+        """One control step of every world.
+
+        Args:
+            state: of the batch.
+            action: (num_envs, action_size).
+
+        Raises:
+            ActionError: the action has another shape.
+        """
+        if jnp.shape(action) != (self.num_envs, self.action_size):
+            raise ActionError(
+                f"{self.name} in a batch of {self.num_envs} takes actions of shape "
+                f"({self.num_envs}, {self.action_size}), got {jnp.shape(action)}."
+            )
+        info = state.info
+        state = jax.vmap(self.env.step)(state.replace(info={}), action)
+        finished = state.done > 0
+        failed = state.metrics["nan"] > 0
+        info = {
+            **info,
+            "terminal_obs": state.obs,
+            "truncation": jnp.where(finished & ~failed, 1.0, 0.0),
+        }
+        state = jax.lax.cond(
+            jnp.any(finished),
+            lambda s: jax.vmap(self.env.restart)(s, finished),
+            lambda s: s,
+            state,
+        )
+        return state.replace(info=info)
+
+
+def vectorize(env: Any, num_envs: int) -> VectorEnv:
+    """``num_envs`` worlds of an environment, with auto-reset."""
+    return VectorEnv(env, num_envs)

@@ -1,0 +1,113 @@
+# ruff: noqa: D103 (a test's name says what it shows)
+"""Settings and the command line."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from train.configs import (
+    TASK_CHANGES,
+    PPOConfig,
+    config_for,
+    env_name_in,
+    parse_arguments,
+    parse_count,
+    resolve,
+)
+from train.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [("1e7", 10_000_000), ("20000", 20_000), ("2_000_000", 2_000_000)]
+)
+def test_counts_may_be_written_as_people_do(text, number):
+    assert parse_count(text) == number
+    assert parse_arguments(["--num-env-steps", text]).num_env_steps == number
+
+
+@pytest.mark.parametrize("text", ["1.5", "-3", "ten", "nan", "inf"])
+def test_other_counts_are_refused(text):
+    with pytest.raises(ValueError, match="1e7"):
+        parse_count(text)
+
+
+def test_a_wrong_count_on_the_command_line_says_how_to_write_it(capsys):
+    with pytest.raises(SystemExit):
+        parse_arguments(["--num-env-steps", "many"])
+    assert "write 10000000 or 1e7" in " ".join(capsys.readouterr().err.split())
+
+
+def test_flags_have_assistive_gyms_names():
+    words = (
+        "--env-name FeedingPR2-v0 --num-env-steps 2e6 --save-dir out --seed 3 --num-processes 8 "
+        "--num-steps 10 --num-mini-batch 2 --ppo-epoch 5 --clip-param 0.1 --gamma 0.98 --tau 0.9 "
+        "--entropy-coef 0.01 --value-loss-coef 1 --max-grad-norm 1 --lr 1e-3 "
+        "--no-use-linear-lr-decay --log-interval 7 --save-interval 9 --impl jax "
+        "--allow-joint-observation --policy-hidden 32 16"
+    )
+    config = parse_arguments(words.split())
+    assert config == dataclasses.replace(
+        config_for("FeedingPR2-v0"),
+        env_name="FeedingPR2-v0",
+        num_env_steps=2_000_000,
+        save_dir="out",
+        seed=3,
+        num_processes=8,
+        num_steps=10,
+        num_mini_batch=2,
+        ppo_epoch=5,
+        clip_param=0.1,
+        gamma=0.98,
+        gae_lambda=0.9,
+        entropy_coef=0.01,
+        value_loss_coef=1.0,
+        max_grad_norm=1.0,
+        lr=1e-3,
+        use_linear_lr_decay=False,
+        log_interval=7,
+        save_interval=9,
+        impl="jax",
+        allow_joint_observation=True,
+        policy_hidden=(32, 16),
+    )
+
+
+def test_the_environment_on_the_command_line_decides_the_defaults(monkeypatch):
+    monkeypatch.setitem(TASK_CHANGES, "Feeding", {"lr": 0.5})
+    assert parse_arguments(["--env-name", "FeedingPR2-v0"]).lr == 0.5
+    assert parse_arguments(["--env-name=FeedingPR2-v0", "--lr", "0.25"]).lr == 0.25
+    assert parse_arguments(["--env-name", "DrinkingPR2-v0"]).lr == PPOConfig.lr
+    assert env_name_in(["--seed", "1"]) == PPOConfig.env_name
+    assert env_name_in(["--env_name", "X"]) == "X"
+
+
+def test_every_task_of_the_table_has_settings_that_work():
+    for task in TASK_CHANGES:
+        config = config_for(f"{task}Jaco-v0")
+        for platform in ("cpu", "gpu"):
+            assert resolve(config, platform).num_processes > 0
+
+
+def test_automatic_settings_depend_on_the_machine():
+    assert resolve(PPOConfig(), "cpu").num_processes == 64
+    config = resolve(PPOConfig(), "gpu")
+    assert config.num_processes == 4096
+    lines = 10_000_000 / (4096 * config.num_steps * config.log_interval)
+    assert 40 < lines < 160
+    assert config.save_interval % config.log_interval == 0
+
+
+def test_batches_that_do_not_divide_get_a_suggestion():
+    with pytest.raises(ConfigError, match=r"3 worlds x 5 steps = 15.*--num-mini-batch 5"):
+        resolve(PPOConfig(num_processes=3, num_steps=5, num_mini_batch=7), "cpu")
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"num_steps": 0}, {"lr": 0.0}, {"gamma": 1.5}, {"num_env_steps": 2**33}]
+)
+def test_impossible_values_are_named(wrong):
+    ((name, value),) = wrong.items()
+    with pytest.raises(ConfigError, match=f"{name} must be .*{value}"):
+        PPOConfig(**wrong)

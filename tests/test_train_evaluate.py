@@ -1,0 +1,206 @@
+# ruff: noqa: D103 (a test's name says what it shows)
+"""Policies, their evaluation and replay."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from fake_env import FakeEnv
+
+from train import enjoy, evaluate
+from train.configs import PPOConfig
+from train.errors import (
+    PolicyDamagedError,
+    PolicyEnvironmentError,
+    PolicyLayoutError,
+    PolicyNotFoundError,
+)
+from train.evaluate import BASELINES, Evaluator, baseline_policy, wilson_interval
+from train.learner import architecture, init_learner
+from train.policy import Policy, find_policy, load_policy, save_policy
+from train.ppo import policy_of
+
+INFO = {"env": "FakeReach-v0", "layout": "fake-1", "commit": None, "versions": {}}
+
+
+def make_policy(distribution="normal", seed=0, head_gain=1.0):
+    """An untrained policy for the fake environment."""
+    config = PPOConfig(
+        distribution=distribution, policy_hidden=(8,), value_hidden=(8,), policy_head_gain=head_gain
+    )
+    arch = architecture(config, 4, 2)
+    learner = jax.jit(lambda key: init_learner(config, arch, key))(jax.random.PRNGKey(seed))
+    return policy_of(learner, arch, INFO)
+
+
+@pytest.fixture(scope="module")
+def policy():
+    """A policy."""
+    return make_policy()
+
+
+@pytest.mark.parametrize("distribution", ["normal", "tanh_normal"])
+def test_a_policy_comes_back_and_acts_the_same(tmp_path, distribution):
+    policy = make_policy(distribution)
+    loaded = load_policy(save_policy(tmp_path / "new" / "p.npz", policy), FakeEnv())
+    obs = 3 * jax.random.normal(jax.random.PRNGKey(1), (7, 4))
+    assert np.array_equal(loaded(obs), policy(obs))
+    key = jax.random.PRNGKey(2)
+    sampled = loaded(obs, key, deterministic=False)
+    assert np.array_equal(sampled, policy(obs, key, deterministic=False))
+    assert not np.array_equal(sampled, loaded(obs))
+    assert sampled.shape == (7, 2) and np.abs(sampled).max() <= 1
+    assert loaded(obs[0]).shape == (2,)
+    assert loaded.info["env"] == "FakeReach-v0" and loaded.arch == policy.arch
+    with pytest.raises(ValueError, match="needs a key"):
+        loaded(obs, deterministic=False)
+
+
+def test_the_mode_of_a_gaussian_is_clipped_not_squashed():
+    policy = make_policy(head_gain=50.0)
+    obs = 3 * jax.random.normal(jax.random.PRNGKey(1), (50, 4))
+    assert np.abs(policy(obs)).max() == 1.0
+
+
+def test_a_missing_policy_lists_what_is_there(tmp_path, policy):
+    save_policy(tmp_path / "reach.npz", policy)
+    with pytest.raises(PolicyNotFoundError, match=r"raech.npz.*Did you mean 'reach.npz'.*Shipped"):
+        load_policy(tmp_path / "raech.npz")
+    save_policy(tmp_path / "FakeReach-v0" / "policy.npz", policy)
+    assert find_policy("FakeReach-v0", tmp_path).is_file()
+    text = r"No policy for 'FakeReech-v0'.*Did you mean 'FakeReach-v0'.*python -m train.ppo"
+    with pytest.raises(PolicyNotFoundError, match=text):
+        find_policy("FakeReech-v0", tmp_path)
+    with pytest.raises(PolicyNotFoundError, match=r"ships no policy for 'FakeReach-v0'.*train.ppo"):
+        find_policy("FakeReach-v0")
+
+
+def test_a_damaged_policy_is_refused(tmp_path, policy):
+    path = save_policy(tmp_path / "p.npz", policy)
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(PolicyDamagedError, match=r"p.npz is damaged.*again"):
+        load_policy(path)
+
+
+def test_a_checkpoint_is_not_a_policy(tmp_path):
+    from train.npz import write_npz
+
+    write_npz(tmp_path / "c.npz", {"params/x": np.zeros(2)}, {"format": 1})
+    with pytest.raises(PolicyDamagedError, match="is not a policy"):
+        load_policy(tmp_path / "c.npz")
+
+
+def test_a_policy_of_another_environment_or_layout_is_refused(tmp_path, policy):
+    path = save_policy(tmp_path / "p.npz", policy)
+    other = FakeEnv(name="FakePush-v0")
+    with pytest.raises(
+        PolicyEnvironmentError, match=r"trained in 'FakeReach-v0', not in 'FakePush-v0'"
+    ):
+        load_policy(path, other)
+    assert load_policy(path, other, any_env=True).arch == policy.arch
+    with pytest.raises(PolicyLayoutError, match=r"layout 'fake-1'.*'fake-2'.*Train it again"):
+        load_policy(path, FakeEnv(layout_version="fake-2"))
+    with pytest.raises(
+        PolicyLayoutError, match=r"4 observations and gives 2 actions.* has 4 and 3"
+    ):
+        load_policy(path, FakeEnv(action_sizes={"robot": 3}))
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [  # R: prop.test(x, n, correct = FALSE)$conf.int
+        (0, 10, 0.0, 0.2775),
+        (5, 10, 0.2366, 0.7634),
+        (10, 10, 0.7225, 1.0),
+        (81, 263, 0.2553, 0.3662),  # Newcombe (1998), table I, method 3
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+    ],
+)
+def test_wilson_interval_against_published_values(successes, trials, low, high):
+    assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=5e-5)
+
+
+def test_wilson_interval_of_nothing():
+    assert wilson_interval(0, 0) == (0.0, 1.0)
+
+
+def test_an_evaluation_agrees_with_stepping_one_world_after_another():
+    env = FakeEnv()
+    key = jax.random.PRNGKey(3)
+    found = evaluate.evaluate(env, "zero", 3, key)
+    key_reset, _ = jax.random.split(key)
+    reset, step = jax.jit(env.reset), jax.jit(env.step)
+    for i, world in enumerate(jax.random.split(key_reset, 3)):
+        state = reset(world)
+        total = force = 0.0
+        for _ in range(20):
+            state = step(state, jnp.zeros(2))
+            total, force = (
+                total + float(state.reward),
+                force + float(state.metrics["force/on_person"]),
+            )
+        assert found.returns[i] == pytest.approx(total, rel=1e-5)
+        assert found.forces[i] == pytest.approx(force / 20, rel=1e-5)
+        assert found.successes[i] == bool(state.metrics["success"])
+
+
+def test_only_the_first_episode_of_a_world_counts_and_nan_is_seen():
+    found = evaluate.evaluate(FakeEnv(nan_at=4), baseline_policy("random", 2), 5, 0)
+    assert found.nan.all() and found.summary()["nan_episodes"] == 5
+    assert not found.successes.any() and found.returns.min() > -4 * 3
+    assert "episodes that went NaN          5" in found.table()
+
+
+def test_policies_of_one_architecture_share_a_compilation(policy):
+    env = FakeEnv()
+    run = Evaluator(env, 4)
+    first = run(policy, jax.random.PRNGKey(0))
+    other = dataclasses.replace(make_policy(seed=1), info={"env_steps": 5})
+    second = run(other, jax.random.PRNGKey(0))
+    assert env.traces["step"] == 1
+    assert not np.array_equal(first.returns, second.returns)
+    assert isinstance(policy, Policy)
+
+
+def test_the_command_line_evaluates_and_records(tmp_path, capsys, policy):
+    save_policy(tmp_path / "FakeReach-v0" / "policy.npz", policy)
+    out = tmp_path / "results" / "lines.jsonl"
+    words = f"--env-name FakeReach-v0 --load-dir {tmp_path} --num-episodes 6 --json {out}"
+    assert evaluate.main(words.split(), lambda *_: FakeEnv()) == 0
+    text = capsys.readouterr().out
+    assert "6 episodes" in text and "95 % interval" in text and "±" in text
+    (line,) = [json.loads(line) for line in out.read_text().splitlines()]
+    assert line["kind"] == "evaluation" and line["env"] == "FakeReach-v0" and line["episodes"] == 6
+    assert {"commit", "device", "versions", "time", "success", "success_low"} <= line.keys()
+    assert evaluate.main(["--env-name", "Nope-v0", "--load-dir", str(tmp_path)]) == 2
+    assert "PolicyNotFoundError" in capsys.readouterr().err
+
+
+def test_baselines_are_named():
+    assert BASELINES == ("zero", "random")
+    assert baseline_policy("zero", 3)(jnp.ones((4, 9))).shape == (4, 3)
+
+
+def test_enjoy_shows_an_episode(tmp_path, capsys):
+    clip, sheet = tmp_path / "new" / "a.gif", tmp_path / "a.png"
+    words = f"--env-name FakeReach-v0 --policy random --episodes 2 --clip {clip} --sheet {sheet}"
+    words += " --width 64 --height 48 --backend raycast"
+    assert enjoy.main(words.split(), lambda *_: FakeEnv(episode_length=6)) == 0
+    out = capsys.readouterr().out
+    assert "episode 2, seed 1002: 6 steps" in out and str(clip) in out
+    assert clip.read_bytes()[:3] == b"GIF" and sheet.read_bytes()[:4] == b"\x89PNG"
+    assert enjoy.main(words.split(), lambda *_: FakeEnv(episode_length=6)) == 0
+    assert capsys.readouterr().out == out  # the seed decides
+
+
+def test_enjoy_refuses_a_wrong_suffix_at_once(capsys):
+    words = "--env-name FakeReach-v0 --policy zero --clip film.avi"
+    assert enjoy.main(words.split(), lambda *_: pytest.fail("too late")) == 2
+    assert "must end in .gif or .mp4" in capsys.readouterr().err

@@ -1,0 +1,132 @@
+# ruff: noqa: D103 (a test's name says what it shows)
+"""Advantages, truncation and the loss, against closed forms."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.training.agents.ppo.losses import compute_gae as brax_gae
+
+from train.advantage import compute_gae, values_of
+from train.configs import PPOConfig
+from train.learner import LOSSES, architecture, init_learner, ppo_loss
+from train.networks import make_networks, sample_action
+from train.rollout import Batch
+
+GAMMA, LAMBDA = 0.9, 0.8
+
+
+def make_batch(obs, reward, done, truncation, terminal_obs):
+    """A batch of one-dimensional observations."""
+    arrays = [jnp.asarray(x, jnp.float32) for x in (reward, done, truncation)]
+    reward, done, truncation = arrays
+    return Batch(
+        obs=jnp.asarray(obs, jnp.float32)[..., None],
+        raw_action=jnp.zeros((*reward.shape, 1)),
+        log_prob=jnp.zeros_like(reward),
+        reward=reward,
+        discounted=jnp.zeros_like(reward),
+        done=done,
+        truncation=truncation,
+        terminal_obs=jnp.asarray(terminal_obs, jnp.float32)[..., None],
+    )
+
+
+def advantages_of(batch, last_obs, value=lambda obs: obs[..., 0]):
+    """Advantages with a value function that reads the observation."""
+    last = jnp.asarray(last_obs, jnp.float32)[..., None]
+    values, next_values = values_of(value, batch, last)
+    return compute_gae(batch.reward, values, next_values, batch.done, GAMMA, LAMBDA)
+
+
+def test_a_truncation_bootstraps_with_the_value_of_the_true_last_observation():
+    # Two worlds, three steps; the first is cut off after step 1 at a state worth 7, and the second
+    # half of the batch is another episode. The observation is its own value.
+    batch = make_batch(
+        obs=[[1, 4], [2, 5], [3, 6]],
+        reward=[[0.5, 0], [0.25, 0], [1, 2]],
+        done=[[0, 0], [1, 0], [0, 0]],
+        truncation=[[0, 0], [1, 0], [0, 0]],
+        terminal_obs=[[-99, -99], [7, -99], [-99, -99]],
+    )
+    advantages = advantages_of(batch, [10, 20])
+    a1 = 0.25 + GAMMA * 7 - 2
+    a0 = 0.5 + GAMMA * 2 - 1 + GAMMA * LAMBDA * a1
+    a2 = 1 + GAMMA * 10 - 3
+    b2 = 2 + GAMMA * 20 - 6
+    b1 = GAMMA * 6 - 5 + GAMMA * LAMBDA * b2
+    b0 = GAMMA * 5 - 4 + GAMMA * LAMBDA * b1
+    np.testing.assert_allclose(advantages, [[a0, b0], [a1, b1], [a2, b2]], rtol=1e-6)
+
+
+def test_a_termination_is_worth_nothing_even_if_its_observation_is_nan():
+    batch = make_batch([[1.0]], [[3.0]], [[1.0]], [[0.0]], [[np.nan]])
+    np.testing.assert_allclose(advantages_of(batch, [50.0]), [[3.0 - 1.0]])
+
+
+def test_a_time_limit_does_not_matter_to_a_value_function_that_is_right():
+    # Reward 1 for ever is worth 1 / (1 - gamma) everywhere: no step is better than expected,
+    # although the episode is cut off in the middle of the batch.
+    steps, worth = 12, 1 / (1 - GAMMA)
+    cut = np.zeros((steps, 1))
+    cut[5] = 1
+    same = np.full((steps, 1), worth)
+    batch = make_batch(same, np.ones((steps, 1)), cut, cut, same)
+    np.testing.assert_allclose(advantages_of(batch, [worth]), 0.0, atol=1e-5)
+    # Taken for a termination, the same step costs all that would have come after it.
+    ended = dataclasses.replace(batch, truncation=jnp.zeros_like(batch.truncation))
+    np.testing.assert_allclose(advantages_of(ended, [worth])[5], -GAMMA * worth, rtol=1e-5)
+
+
+def test_value_targets_agree_with_brax_where_nothing_is_truncated():
+    rng = np.random.default_rng(0)
+    reward, values = rng.normal(size=(2, 9, 4)).astype(np.float32)
+    done = (rng.random((9, 4)) < 0.3).astype(np.float32)
+    last = rng.normal(size=4).astype(np.float32)
+    zeros = np.zeros_like(done)
+    theirs, _ = brax_gae(zeros, done, reward, values, last, LAMBDA, GAMMA)
+    batch = make_batch(values, reward, done, zeros, zeros)
+    np.testing.assert_allclose(advantages_of(batch, last) + values, theirs, atol=1e-5)
+
+
+@pytest.mark.parametrize("distribution", ["normal", "tanh_normal"])
+def test_the_first_loss_of_an_update_has_ratio_one(distribution):
+    config = PPOConfig(distribution=distribution, policy_hidden=(8,), value_hidden=(8,))
+    arch = architecture(config, 3, 2)
+    networks = make_networks(arch)
+    learner = jax.jit(lambda key: init_learner(config, arch, key))(jax.random.PRNGKey(0))
+    obs = jax.random.normal(jax.random.PRNGKey(1), (16, 3))
+    action, raw, log_prob = sample_action(
+        networks, learner.normalizer, learner.params.policy, obs, jax.random.PRNGKey(2)
+    )
+    assert float(jnp.max(jnp.abs(action))) <= 1.0
+    value = networks.value_network.apply(learner.normalizer, learner.params.value, obs)
+    advantage = jnp.linspace(-1.0, 2.0, 16)
+    data = {
+        "obs": obs,
+        "raw_action": raw,
+        "log_prob": log_prob,
+        "advantage": advantage,
+        "value": value,
+        "target": value + 3.0,
+    }
+    loss, scalars = ppo_loss(
+        learner.params, learner.normalizer, data, jax.random.PRNGKey(3), config, networks
+    )
+    assert set(scalars) == set(LOSSES)
+    np.testing.assert_allclose(scalars["policy_loss"], -0.5, atol=1e-5)
+    np.testing.assert_allclose(scalars["value_loss"], 0.5 * 9.0, rtol=1e-5)
+    np.testing.assert_allclose(scalars["kl"], 0.0, atol=1e-5)
+    np.testing.assert_allclose(loss, -0.5 + 0.5 * 4.5, rtol=1e-4)
+
+
+def test_a_new_learner_has_strong_types_so_that_a_restored_one_needs_no_new_compilation():
+    config = PPOConfig(policy_hidden=(8,), value_hidden=(8,))
+    learner = jax.jit(lambda key: init_learner(config, architecture(config, 3, 2), key))(
+        jax.random.PRNGKey(0)
+    )
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(learner))

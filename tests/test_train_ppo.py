@@ -1,0 +1,293 @@
+# ruff: noqa: D103 (a test's name says what it shows)
+"""Training from end to end on the fake environment."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from fake_env import FakeEnv
+
+from agym_jax.errors import BufferOverflowError
+from train.checkpoint import checkpoint_files, load_newest
+from train.configs import PPOConfig
+from train.curve import check_row, make_row
+from train.errors import ActiveHumanError, CheckpointMismatchError, DivergedError, SaveFolderError
+from train.evaluate import Evaluator
+from train.learner import architecture, init_learner, make_updates
+from train.policy import load_policy
+from train.ppo import main, summary, train
+from train.progress import Lines
+from train.rollout import first_worlds
+
+ROOT = Path(__file__).resolve().parent.parent
+CONFIG = PPOConfig(
+    env_name="FakeReach-v0",
+    num_env_steps=45_000,
+    num_processes=32,
+    num_mini_batch=4,
+    distribution="tanh_normal",
+    policy_hidden=(32,),
+    value_hidden=(32,),
+    lr=1e-3,
+    log_interval=8,
+)
+SMALL = dataclasses.replace(CONFIG, num_processes=4, num_env_steps=80, save_dir=None)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A finished run: environment, result, folder and what was said."""
+    env, said = FakeEnv(), []
+    progress = Lines(period=0.0)
+    progress.say = said.append
+    folder = tmp_path_factory.mktemp("trained")
+    result = train(env, dataclasses.replace(CONFIG, save_dir=str(folder)), progress)
+    return env, result, folder / env.name, said
+
+
+def test_training_improves_the_return(trained):
+    _, result, _, _ = trained
+    assert result.curve[0]["return"] < -12
+    assert result.last("return") > -5
+    assert result.last("success") > 0.15
+    assert result.last("force") == pytest.approx(-2 * result.last("return") / 20, rel=1e-4)
+
+
+def test_environment_is_traced_once_for_all_log_intervals(trained):
+    env, result, _, _ = trained
+    assert len(result.curve) > 5
+    assert env.traces == {"reset": 1, "step": 1}
+
+
+def test_steps_and_episodes_add_up(trained):
+    _, result, _, _ = trained
+    batch = 32 * 20
+    assert result.env_steps == 71 * batch == int(result.learner.env_steps)
+    assert [row["env_steps"] for row in result.curve[:2]] == [8 * batch, 16 * batch]
+    # 20 steps an episode, staggered: each world's first episode is partial and not counted
+    episodes = sum(row["episodes"] for row in result.curve)
+    assert result.env_steps / 20 - 2 * 32 <= episodes <= result.env_steps / 20
+    assert all(row["length"] == 20 for row in result.curve)
+    assert result.compile_seconds > 0 and result.train_seconds > 0
+
+
+def test_the_folder_has_everything(trained):
+    _, result, folder, said = trained
+    names = {p.name for p in folder.iterdir()}
+    assert names == {"config.json", "curve.jsonl", "curve.png", "checkpoints", "policy.npz"}
+    assert len(checkpoint_files(folder / "checkpoints")) == 3
+    config = json.loads((folder / "config.json").read_text())
+    assert config["config"]["num_processes"] == 32 and config["versions"]["jax"] == jax.__version__
+    rows = [json.loads(line) for line in (folder / "curve.jsonl").read_text().splitlines()]
+    assert rows == result.curve
+    assert (folder / "curve.png").read_bytes()[:4] == b"\x89PNG"
+    assert "steps/s" in said[0] and "success" in said[0] and "left" in said[0]
+    assert "Compiled in" in summary(result) and str(folder) in summary(result)
+
+
+def test_the_saved_policy_acts_as_the_learner_does(trained):
+    env, result, folder, _ = trained
+    policy = load_policy(folder / "policy.npz", env)
+    obs = jax.random.normal(jax.random.PRNGKey(0), (5, 4))
+    assert np.array_equal(policy(obs), result.policy(obs))
+    found = Evaluator(env, 64)(policy, jax.random.PRNGKey(5))
+    assert found.returns.mean() > result.last("return") - 0.5
+    assert policy.info["env_steps"] == result.env_steps
+
+
+def test_a_finished_run_is_not_run_again(trained):
+    _, result, folder, _ = trained
+    env, said = FakeEnv(), []
+    progress = Lines()
+    progress.say = said.append
+    again = train(env, dataclasses.replace(CONFIG, save_dir=str(folder.parent)), progress)
+    assert env.traces == {"reset": 0, "step": 0}
+    assert again.session_steps == 0 and again.curve == result.curve
+    assert any("raise --num-env-steps" in text for text in said)
+
+
+def test_another_network_in_the_same_folder_is_refused_before_compiling(trained):
+    _, _, folder, _ = trained
+    env = FakeEnv()
+    config = dataclasses.replace(CONFIG, save_dir=str(folder.parent), policy_hidden=(16,))
+    with pytest.raises(
+        CheckpointMismatchError, match=r"policy_hidden is \[32\], this run has \[16\]"
+    ):
+        train(env, config)
+    assert env.traces["step"] == 0
+
+
+def test_fresh_moves_the_old_run_aside(tmp_path):
+    other = tmp_path / "runs"
+    (other / "FakeReach-v0").mkdir(parents=True)
+    (other / "FakeReach-v0" / "curve.jsonl").write_text("old")
+    train(FakeEnv(), dataclasses.replace(SMALL, save_dir=str(other), fresh=True))
+    moved = [p for p in other.iterdir() if ".before-" in p.name]
+    assert len(moved) == 1 and (moved[0] / "curve.jsonl").read_text() == "old"
+
+
+def test_a_restored_learner_learns_on_exactly_as_one_that_was_never_saved(tmp_path):
+    env, config = FakeEnv(), SMALL
+    venv, arch = env.vectorize(4), architecture(config, 4, 2)
+    learner = jax.jit(lambda key: init_learner(config, arch, key))(jax.random.PRNGKey(0))
+    worlds = jax.jit(lambda key: first_worlds(venv, key, True))(jax.random.PRNGKey(1))
+    run = jax.jit(make_updates(venv, config, arch))
+    middle, worlds, _ = run(learner, worlds, jnp.int32(3), jnp.float32(800))
+    unbroken, _, _ = run(middle, worlds, jnp.int32(2), jnp.float32(800))
+
+    from train.checkpoint import save_checkpoint
+
+    save_checkpoint(tmp_path, middle, {"belongs": {}})
+    restored = load_newest(tmp_path, learner, {}).learner
+    resumed, _, _ = run(restored, worlds, jnp.int32(2), jnp.float32(800))
+    assert env.traces["step"] == 1
+    for a, b in zip(jax.tree.leaves(unbroken), jax.tree.leaves(resumed), strict=True):
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+    moments = jax.tree.leaves(restored.optimizer)
+    assert len(moments) > 8 and any(np.abs(np.asarray(m)).max() > 0 for m in moments)
+
+
+KILLED = """
+import sys, time
+sys.path[:0] = {paths!r}
+from fake_env import FakeEnv
+from train.configs import PPOConfig
+from train.ppo import train
+config = PPOConfig(**{fields!r})
+train(FakeEnv(), config, on_log=lambda row, policy: time.sleep(0.05))
+"""
+
+
+def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
+    config = dataclasses.replace(
+        CONFIG, save_dir=str(tmp_path), log_interval=1, save_interval=2, num_env_steps=50_000
+    )
+    fields = dataclasses.asdict(config)
+    code = KILLED.format(paths=[str(ROOT), str(ROOT / "tests")], fields=fields)
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
+    with subprocess.Popen(
+        [sys.executable, "-c", code], env=environment, stderr=subprocess.DEVNULL
+    ) as process:
+        folder = tmp_path / "FakeReach-v0" / "checkpoints"
+        deadline = time.monotonic() + 120
+        while len(checkpoint_files(folder)) < 2 and process.poll() is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        assert process.poll() is None, "the run ended before it could be killed"
+        process.send_signal(signal.SIGKILL)
+    said = []
+    progress = Lines()
+    progress.say = said.append
+    result = train(FakeEnv(), config, progress)
+    steps = [row["env_steps"] for row in result.curve]
+    assert 0 < result.session_steps < result.env_steps == 79 * 640
+    assert steps == [640 * i for i in range(1, 80)]  # nothing twice, nothing missing
+    seconds = [row["seconds"] for row in result.curve]
+    assert seconds == sorted(seconds)
+    assert said[0].startswith("Continuing from step") and "fresh episodes" in said[0]
+    on_disk = (tmp_path / "FakeReach-v0" / "curve.jsonl").read_text().splitlines()
+    assert len(on_disk) == 79
+
+
+def test_on_log_can_stop_a_run_which_then_goes_on(tmp_path):
+    config = dataclasses.replace(
+        SMALL, save_dir=str(tmp_path), log_interval=1, num_env_steps=80 * 6
+    )
+    seen = []
+
+    def stop_at_third(row, policy):
+        seen.append(policy().info["env_steps"])
+        return len(seen) == 3
+
+    result = train(FakeEnv(), config, on_log=stop_at_third)
+    assert result.interrupted and seen == [80, 160, 240] and result.env_steps == 240
+    assert "stopped at 240" in summary(result)
+
+    def interrupt(row, policy):
+        raise KeyboardInterrupt
+
+    again = train(FakeEnv(), config, on_log=interrupt)
+    assert again.interrupted and again.env_steps == 320
+    kept = load_newest(
+        tmp_path / "FakeReach-v0" / "checkpoints", jax.eval_shape(lambda: again.learner), {}
+    )
+    assert int(kept.learner.env_steps) == 320
+
+
+def test_lost_contacts_stop_the_run():
+    with pytest.raises(BufferOverflowError, match=r"FakeReach-v0.*4 worlds.*buffers"):
+        train(FakeEnv(overflow=1.0), SMALL)
+
+
+def test_worlds_that_go_nan_are_counted_and_training_goes_on():
+    config = dataclasses.replace(SMALL, num_env_steps=800, stagger=False)
+    result = train(FakeEnv(nan_at=5), config)
+    assert result.nan_steps == 800 / 5
+    assert "160 world-steps went NaN" in summary(result)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result.learner.params))
+
+
+def test_a_loss_that_is_not_finite_stops_the_run():
+    totals = {f"episode/{n}": 0.0 for n in ("episodes", "return", "success", "force", "length")}
+    totals |= {
+        "step/reward": -3.0,
+        "step/nan": 0.0,
+        "step/overflow": 0.0,
+        "step/force/on_person": 8.0,
+    }
+    totals["episode/return_squared"] = 0.0
+    row = make_row({**totals, "loss/kl": 2.0}, updates=2, samples=4, episode_length=20)
+    assert row["return"] is None and row["return_per_step"] == -15.0 and row["loss/kl"] == 1.0
+    assert row["force/on_person"] == 2.0
+    row = make_row({**totals, "loss/kl": np.nan}, 2, 4, 20) | {"env_steps": 80, "nan_total": 0}
+    with pytest.raises(DivergedError, match=r"before step 80: loss/kl not finite.*--lr"):
+        check_row(row, "FakeReach-v0", 4)
+
+
+def test_an_active_human_is_refused_with_the_reason():
+    env = FakeEnv(name="ScratchItchJacoHuman-v0", action_sizes={"robot": 2, "person": 1})
+    text = (
+        r"robot \(2 actions\) and person \(1 actions\).*read the person's observation.*train.coop"
+        r".*ScratchItchJaco-v0.*--allow-joint-observation"
+    )
+    with pytest.raises(ActiveHumanError, match=text):
+        train(env, SMALL)
+    assert env.traces["step"] == 0
+    train(env, dataclasses.replace(SMALL, allow_joint_observation=True))
+
+
+def test_an_unwritable_folder_is_refused_before_anything_compiles(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    below = str(tmp_path / "file" / "runs")
+    env = FakeEnv()
+    with pytest.raises(SaveFolderError, match="Cannot write to the folder"):
+        train(env, dataclasses.replace(CONFIG, save_dir=below))
+    made = []
+    status = main(["--env-name", "FakeReach-v0", "--save-dir", below], lambda *_: made.append(1))
+    assert status == 2 and not made and env.traces["reset"] == 0
+    assert "SaveFolderError: Cannot write to the folder" in capsys.readouterr().err
+
+
+def test_the_command_line_trains(tmp_path, capsys):
+    words = f"--env-name FakeReach-v0 --num-env-steps 6.4e2 --num-processes 4 --save-dir {tmp_path}"
+    words += " --num-mini-batch 4 --policy-hidden 32 --value-hidden 32 --lr 1e-3"
+    before = signal.getsignal(signal.SIGTERM)
+    precision = jax.config.jax_default_matmul_precision
+    try:
+        assert main(words.split(), lambda name, impl: FakeEnv(name=name)) == 0
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        jax.config.update("jax_default_matmul_precision", precision)
+    out = capsys.readouterr().out
+    assert "FakeReach-v0: trained 640 steps" in out and str(tmp_path) in out

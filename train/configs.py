@@ -1,0 +1,228 @@
+"""Settings of PPO: one base, a table of differences per task, and the command line made from both.
+
+Flags carry the names of Assistive Gym's ``ppo.train``; a flag has one default, the one written
+here. Switches are ``--flag`` / ``--no-flag`` (in Assistive Gym, passing ``--use-linear-lr-decay``
+turned the decay off).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from train.errors import ConfigError
+
+MAX_ENV_STEPS = 2**32 - 1  # the learner counts steps in 32 unsigned bits
+
+
+def parse_count(text: str) -> int:
+    """A whole number that may be written ``20000``, ``20_000`` or ``2e4``.
+
+    Raises:
+        ValueError: it is not a whole number, or negative.
+    """
+    try:
+        value = float(text.replace("_", ""))
+    except ValueError:
+        raise ValueError(f"{text!r} is not a number; write 10000000 or 1e7") from None
+    if not math.isfinite(value) or value < 0 or value != int(value):
+        raise ValueError(f"{text!r} is not a whole number >= 0; write 10000000 or 1e7")
+    return int(value)
+
+
+_COUNT = tyro.constructors.PrimitiveConstructorSpec(
+    nargs=1,
+    metavar="N",
+    instance_from_str=lambda words: parse_count(words[0]),
+    is_instance=lambda value: isinstance(value, int),
+    str_from_instance=lambda value: [str(value)],
+)
+Count = Annotated[int, _COUNT]
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Every setting of a PPO run."""
+
+    env_name: str = "ScratchItchJaco-v0"
+    """Environment id."""
+    num_env_steps: Count = 10_000_000
+    """Environment steps in all; 1e7 is accepted. Rounded up to whole updates."""
+    save_dir: str | None = "trained_models"
+    """Folder of the results; each environment gets its own folder in it. None writes nothing."""
+    seed: int = 1
+    """Seed of the networks, the worlds and the exploration."""
+    impl: str = "auto"
+    """Physics: "jax", "warp", or "auto" (Warp on an NVIDIA GPU where it is installed)."""
+
+    num_processes: Annotated[Count, tyro.conf.arg(aliases=["--num-envs"])] = 0
+    """Worlds simulated side by side; 0 = 4096 on an accelerator, 64 on a CPU."""
+    num_steps: Count = 20
+    """Steps of each world in one update."""
+    ppo_epoch: Count = 4
+    """Passes over the data of an update."""
+    num_mini_batch: Count = 8
+    """Gradient steps in a pass."""
+    stagger: bool = True
+    """Start the worlds at different times of their first episode, so that an update sees all
+    phases of an episode (needs an environment that can; the first episodes are not counted)."""
+
+    lr: float = 3e-4
+    """Learning rate of Adam."""
+    eps: float = 1e-5
+    """Epsilon of Adam."""
+    use_linear_lr_decay: bool = True
+    """Let the learning rate fall linearly to zero over the run."""
+    max_grad_norm: float = 0.5
+    """Gradients are scaled down to this norm."""
+    gamma: float = 0.99
+    """Discount per step."""
+    gae_lambda: Annotated[float, tyro.conf.arg(aliases=["--tau"])] = 0.95
+    """Lambda of generalised advantage estimation."""
+    clip_param: float = 0.2
+    """Clipping range of the probability ratio, and of the value with clip_value_loss."""
+    clip_value_loss: bool = True
+    """Clip the change of the value prediction too."""
+    value_loss_coef: float = 0.5
+    """Weight of the value loss (which itself carries another 0.5)."""
+    entropy_coef: float = 0.0
+    """Weight of the entropy bonus."""
+    normalize_observations: bool = True
+    """Normalise observations by their running mean and deviation, clipped to 10 deviations."""
+    normalize_reward: bool = True
+    """Divide rewards by the running deviation of the discounted return, clipped to 10."""
+    reward_scaling: float = 1.0
+    """Constant factor on the reward, before normalize_reward."""
+
+    policy_hidden: tuple[int, ...] = (64, 64)
+    """Hidden layers of the policy."""
+    value_hidden: tuple[int, ...] = (128, 128)
+    """Hidden layers of the value function."""
+    activation: Literal["tanh", "swish", "elu", "relu"] = "tanh"
+    """Activation of both networks."""
+    distribution: Literal["normal", "tanh_normal"] = "tanh_normal"
+    """Exploration: a tanh-squashed Gaussian whose deviation depends on the observation, or one
+    clipped to [-1, 1] with a deviation of its own ("normal", as in Assistive Gym)."""
+    init_noise_std: float = 1.0
+    """Initial deviation of "normal"."""
+    policy_head_gain: float = 0.01
+    """Gain of the initial weights of the policy's last layer (Assistive Gym: 1)."""
+
+    log_interval: Count = 0
+    """Updates between two log lines; 0 = about 80 lines in a run."""
+    save_interval: Count = 0
+    """Updates between two checkpoints, rounded up to a log line; 0 = about 10 in a run, and at
+    least one a minute. A killed run loses at most what follows its last checkpoint."""
+    fresh: bool = False
+    """Start over: the results of an earlier run are moved aside instead of being continued."""
+    allow_joint_observation: bool = False
+    """Train one policy for robot and person together, which lets the robot read the person's
+    observation."""
+
+    def __post_init__(self) -> None:
+        """Reject values that can never work.
+
+        Raises:
+            ConfigError: names the field, its value and what is allowed.
+        """
+        for name in ("num_env_steps", "num_steps", "ppo_epoch", "num_mini_batch"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        for name in ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} must be greater than 0, got {getattr(self, name)}.")
+        for name in ("gamma", "gae_lambda"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigError(f"{name} must be between 0 and 1, got {getattr(self, name)}.")
+        if self.num_env_steps > MAX_ENV_STEPS:
+            raise ConfigError(
+                f"num_env_steps must be at most {MAX_ENV_STEPS}, got {self.num_env_steps}."
+            )
+
+
+# What a task changes of the base, measured on a GPU. Keys are the beginnings of environment ids.
+TASK_CHANGES: dict[str, dict[str, Any]] = {
+    "ScratchItch": {},
+    "BedBathing": {},
+    "Feeding": {},
+    "Drinking": {},
+    "Dressing": {},
+    "ArmManipulation": {},
+    "Reaching": {},
+}
+
+
+def config_for(env_name: str) -> PPOConfig:
+    """The settings of an environment: the base with its task's changes.
+
+    Args:
+        env_name: environment id, such as ``"ScratchItchJaco-v0"``; an id of no known task gets
+            the base.
+    """
+    tasks = [task for task in TASK_CHANGES if env_name.startswith(task)]
+    changes = TASK_CHANGES[max(tasks, key=len)] if tasks else {}
+    return dataclasses.replace(PPOConfig(), env_name=env_name, **changes)
+
+
+def env_name_in(arguments: Sequence[str]) -> str:
+    """The value of ``--env-name`` among command-line words, or the default environment."""
+    name = PPOConfig.env_name
+    for i, word in enumerate(arguments):
+        flag, equals, value = word.partition("=")
+        if flag.replace("_", "-") == "--env-name":
+            name = value if equals else (arguments[i + 1] if i + 1 < len(arguments) else name)
+    return name
+
+
+def parse_arguments(arguments: Sequence[str]) -> PPOConfig:
+    """Settings from command-line words, with the defaults of the environment they name."""
+    return tyro.cli(
+        PPOConfig,
+        prog="python -m train.ppo",
+        description="Train a robot's policy with PPO. Rerunning the same command continues it.",
+        args=list(arguments),
+        default=config_for(env_name_in(arguments)),
+    )
+
+
+def resolve(config: PPOConfig, platform: str) -> PPOConfig:
+    """Fill in what depends on the machine.
+
+    Args:
+        config: settings, with 0 meaning automatic.
+        platform: JAX's name of the device kind: "cpu", "gpu", "tpu".
+
+    Returns:
+        Settings without a 0 in ``num_processes`` and ``log_interval``; ``save_interval`` is a
+        whole number of log intervals.
+
+    Raises:
+        ConfigError: the data of an update do not divide into mini-batches.
+    """
+    num_envs = config.num_processes or (64 if platform == "cpu" else 4096)
+    batch = num_envs * config.num_steps
+    if batch % config.num_mini_batch:
+        divisors = [n for n in range(1, min(batch, 256) + 1) if batch % n == 0]
+        near = min(divisors, key=lambda n: abs(n - config.num_mini_batch))
+        raise ConfigError(
+            f"An update has {num_envs} worlds x {config.num_steps} steps = {batch} samples, which "
+            f"do not divide into {config.num_mini_batch} mini-batches. Nearest that does: "
+            f"--num-mini-batch {near}."
+        )
+    total = updates_in(config.num_env_steps, batch)
+    log_interval = config.log_interval or max(1, round(total / 80))
+    save_interval = config.save_interval or max(1, math.ceil(total / 10))
+    save_interval = log_interval * math.ceil(save_interval / log_interval)
+    return dataclasses.replace(
+        config, num_processes=num_envs, log_interval=log_interval, save_interval=save_interval
+    )
+
+
+def updates_in(num_env_steps: int, batch: int) -> int:
+    """Updates of ``batch`` steps that make at least ``num_env_steps``."""
+    return math.ceil(num_env_steps / batch)

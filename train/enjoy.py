@@ -1,0 +1,236 @@
+"""Watch a policy: ``python -m train.enjoy --env-name ScratchItchJaco-v0 --clip scratch.gif``.
+
+One world on the CPU; the seed decides the episodes. Writes a film, a sheet of pictures, or opens
+MuJoCo's viewer, and prints each episode's return, force and success.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import tyro
+
+from agym_jax.errors import AgymError
+from train.configs import Count
+from train.envs import make_env
+from train.errors import ConfigError
+from train.evaluate import BASELINES, AnyPolicy, baseline_policy
+from train.npz import check_writable
+from train.policy import find_policy, load_policy
+from train.rollout import FORCE_KEY
+
+
+@dataclass(frozen=True)
+class EnjoyConfig:
+    """Flags of ``python -m train.enjoy``."""
+
+    env_name: str = "ScratchItchJaco-v0"
+    """Environment id."""
+    load_dir: str | None = None
+    """--save-dir of a training run; without it and --policy, the policy shipped with agym_jax."""
+    policy: str | None = None
+    """A policy file, or "zero" or "random"."""
+    episodes: Count = 1
+    """How many episodes, one after the other."""
+    seed: int = 1001
+    """Seed of the first episode; the next ones have the seeds after it."""
+    non_det: bool = False
+    """Sample actions instead of taking the mode."""
+    any_env: bool = False
+    """Accept a policy of another environment with the same observation layout."""
+    clip: Path | None = None
+    """Film to write, .gif or .mp4."""
+    sheet: Path | None = None
+    """Sheet of pictures to write, .png."""
+    viewer: bool = False
+    """Open MuJoCo's viewer (needs a screen)."""
+    camera: str = "front"
+    """Camera of the film and the sheet."""
+    width: Count = 480
+    """Width of a picture in pixels."""
+    height: Count = 360
+    """Height of a picture in pixels."""
+    backend: str = "auto"
+    """How pictures are drawn: "gl", "raycast" or "auto"."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One moment of an episode.
+
+    Attributes:
+        state: of the world.
+        step: control steps done.
+        total: return so far.
+        force: force on the person in this step [N].
+        success: whether the task is done.
+        over: whether the episode ends here.
+    """
+
+    state: Any
+    step: int
+    total: float
+    force: float
+    success: bool
+    over: bool
+
+
+class Player:
+    """Plays episodes of one world; compiles once."""
+
+    def __init__(self, env: Any, policy: AnyPolicy, deterministic: bool = True) -> None:
+        self.env = env
+        self._reset = jax.jit(env.reset)
+
+        def step(state: Any, key: jax.Array) -> Any:
+            return env.step(state, policy(state.obs, key, deterministic))
+
+        self._step = jax.jit(step)
+
+    def episode(self, seed: int) -> Iterator[Frame]:
+        """The frames of the episode that belongs to a seed, the start included."""
+        key_reset, key = jax.random.split(jax.random.PRNGKey(seed))
+        state = self._reset(key_reset)
+        total = 0.0
+        yield Frame(state, 0, total, 0.0, False, False)
+        keys = jax.random.split(key, self.env.episode_length)
+        for step in range(1, self.env.episode_length + 1):
+            state = self._step(state, keys[step - 1])
+            total += float(state.reward)
+            force = float(state.metrics.get(FORCE_KEY, 0.0))
+            success = bool(state.metrics.get("success", 0.0) > 0.5)
+            over = bool(state.done > 0)
+            yield Frame(state, step, total, force, success, over)
+            if over:
+                return
+
+
+def caption(frame: Frame) -> str:
+    """What is printed with a picture."""
+    success = "  success" if frame.success else ""
+    return f"step {frame.step}  return {frame.total:.1f}  force {frame.force:.1f} N{success}"
+
+
+def film(
+    env: Any, frames: Sequence[Frame], width: int, height: int, camera: str, backend: str
+) -> list[Any]:
+    """Pictures of the frames of one episode, uint8 (height, width, 3) each."""
+    from agym_jax.render import Renderer
+
+    model, data = env.to_mujoco(frames[0].state)
+    pictures = []
+    with Renderer(model, width, height, camera, backend) as renderer:
+        for frame in frames:
+            env.write_mujoco(frame.state, data, model)
+            pictures.append(renderer.render(data, env.markers(frame.state)))
+    return pictures
+
+
+def watch(env: Any, frames: Iterator[Frame]) -> list[Frame]:
+    """Show an episode in MuJoCo's viewer at the speed of life; returns its frames.
+
+    Raises:
+        ConfigError: the viewer does not open, as on a machine without a screen.
+    """
+    try:
+        import mujoco.viewer
+
+        first = next(frames)
+        model, data = env.to_mujoco(first.state)
+        handle = mujoco.viewer.launch_passive(model, data)
+    except Exception as error:  # GLFW and X fail in many ways
+        raise ConfigError(
+            f"The viewer did not open ({type(error).__name__}: {error}). It needs a screen, and "
+            f"mjpython on macOS. Without one, write a film: --clip out.gif"
+        ) from error
+    seen = [first]
+    with handle as viewer:
+        for frame in frames:
+            due = time.monotonic() + env.dt
+            with viewer.lock():
+                env.write_mujoco(frame.state, data, model)
+            viewer.sync()
+            seen.append(frame)
+            if not viewer.is_running():
+                break
+            time.sleep(max(0.0, due - time.monotonic()))
+    return seen
+
+
+def _check_outputs(config: EnjoyConfig) -> None:
+    """Refuse a wrong file name before a minute of compiling."""
+    for path, endings in ((config.clip, (".gif", ".mp4")), (config.sheet, (".png",))):
+        if path is None:
+            continue
+        if path.suffix.lower() not in endings:
+            raise ConfigError(
+                f"Cannot write {str(path)!r}: the name must end in {' or '.join(endings)}."
+            )
+        check_writable(path.parent, "Choose another file.")
+
+
+def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
+    """Play, print and record what the flags ask for; returns the last frame of each episode."""
+    player = Player(env, policy, deterministic=not config.non_det)
+    pictures, labels, lasts = [], [], []
+    for number in range(config.episodes):
+        frames = player.episode(config.seed + number)
+        frames = watch(env, frames) if config.viewer else list(frames)
+        last = frames[-1]
+        force = sum(frame.force for frame in frames) / max(1, last.step)
+        done = "success" if last.success else "no success"
+        cut = "" if last.over else ", stopped early"
+        print(
+            f"{env.name} episode {number + 1}, seed {config.seed + number}: {last.step} steps, "
+            f"return {last.total:.1f}, mean force {force:.2f} N, {done}{cut}"
+        )
+        lasts.append(last)
+        if config.clip or config.sheet:
+            pictures += film(
+                env, frames, config.width, config.height, config.camera, config.backend
+            )
+            labels += [caption(frame) for frame in frames]
+    if config.clip or config.sheet:
+        from agym_jax.render import contact_sheet, write_clip
+
+        if config.clip:
+            print(f"Film: {write_clip(pictures, config.clip, fps=round(1 / env.dt))}")
+        if config.sheet:
+            print(f"Pictures: {contact_sheet(pictures, config.sheet, labels=labels)}")
+    return lasts
+
+
+def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
+    """The command line; returns the exit status."""
+    config = tyro.cli(EnjoyConfig, prog="python -m train.enjoy", args=arguments)
+    jax.config.update("jax_platforms", "cpu")  # one world: the accelerator would only be slower
+    jax.config.update("jax_default_matmul_precision", "highest")
+    warnings.simplefilter("default")
+    try:
+        _check_outputs(config)
+        path = None
+        if config.policy not in BASELINES:
+            path = find_policy(config.env_name, config.load_dir, config.policy)
+        env = make(config.env_name, "jax")
+        if path is None:
+            policy = baseline_policy(str(config.policy), env.action_size)
+        else:
+            policy = load_policy(path, env, config.any_env)
+        play(config, env, policy)
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

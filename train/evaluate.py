@@ -1,0 +1,285 @@
+"""Measure a policy: ``python -m train.evaluate --env-name ScratchItchJaco-v0 --num-episodes 100``.
+
+All episodes run side by side in one compiled call. As in Assistive Gym's 100-episode evaluation:
+return, mean over the steps of the force on the person, and success at the last step.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from agym_jax.errors import AgymError
+from train.configs import Count
+from train.envs import make_env, vectorize
+from train.npz import check_writable
+from train.policy import Policy, find_policy, load_policy
+from train.record import append_record, record
+from train.rollout import FORCE_KEY
+
+BASELINES = ("zero", "random")
+AnyPolicy = Callable[..., jax.Array]
+
+
+def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
+    """Wilson's interval of a probability.
+
+    Args:
+        successes: how often it happened.
+        trials: out of how many.
+        z: quantile of the normal distribution; the default gives 95 %.
+
+    Returns:
+        Lower and upper end; (0, 1) without trials.
+    """
+    if trials == 0:
+        return 0.0, 1.0
+    share, weight = successes / trials, z * z / trials
+    centre = (share + weight / 2) / (1 + weight)
+    half = z / (1 + weight) * math.sqrt(share * (1 - share) / trials + weight / (4 * trials))
+    return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def baseline_policy(name: str, action_size: int) -> AnyPolicy:
+    """``"zero"`` (do nothing) or ``"random"`` (uniform in [-1, 1]), called like a ``Policy``."""
+
+    def zero(obs: jax.Array, key: Any = None, deterministic: bool = True) -> jax.Array:
+        return jnp.zeros((*obs.shape[:-1], action_size))
+
+    def random(obs: jax.Array, key: Any = None, deterministic: bool = True) -> jax.Array:
+        return jax.random.uniform(key, (*obs.shape[:-1], action_size), minval=-1.0, maxval=1.0)
+
+    return {"zero": zero, "random": random}[name]
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """What an evaluation found; arrays have one entry an episode.
+
+    Attributes:
+        env: environment id.
+        returns: return of the episode.
+        forces: mean over its steps of the force on the person [N].
+        successes: whether the task was done at its last step.
+        nan: whether it ended because the physics went non-finite.
+        overflow: steps in which the physics lost contacts, all episodes.
+        seconds: time of the rollout, compiling included.
+    """
+
+    env: str
+    returns: np.ndarray
+    forces: np.ndarray
+    successes: np.ndarray
+    nan: np.ndarray
+    overflow: int
+    seconds: float
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes."""
+        return len(self.returns)
+
+    @property
+    def success(self) -> float:
+        """Share of episodes that succeeded."""
+        return float(np.mean(self.successes))
+
+    @property
+    def success_interval(self) -> tuple[float, float]:
+        """Its 95 % Wilson interval."""
+        return wilson_interval(int(np.sum(self.successes)), self.episodes)
+
+    def table(self) -> str:
+        """The result for people."""
+        low, high = self.success_interval
+        rows = [
+            ("return", f"{self.returns.mean():9.2f} ± {self.returns.std():.2f}"),
+            ("force on the person [N]", f"{self.forces.mean():9.2f} ± {self.forces.std():.2f}"),
+            ("success", f"{self.success:9.1%}   95 % interval {low:.1%} to {high:.1%}"),
+            ("episodes that went NaN", f"{int(self.nan.sum()):9d}"),
+        ]
+        if self.overflow:
+            rows.append(("steps with lost contacts", f"{self.overflow:9d}   do not trust these"))
+        head = f"{self.env}, {self.episodes} episodes"
+        return "\n".join([head] + [f"  {name:<24}{value}" for name, value in rows])
+
+    def summary(self) -> dict[str, Any]:
+        """The result for a JSON line."""
+        low, high = self.success_interval
+        return {
+            "env": self.env,
+            "episodes": self.episodes,
+            "return_mean": float(self.returns.mean()),
+            "return_std": float(self.returns.std()),
+            "force_mean": float(self.forces.mean()),
+            "force_std": float(self.forces.std()),
+            "success": self.success,
+            "success_low": low,
+            "success_high": high,
+            "nan_episodes": int(self.nan.sum()),
+            "overflow": self.overflow,
+            "seconds": round(self.seconds, 2),
+        }
+
+
+class Evaluator:
+    """Runs a fixed number of episodes; compiles once for all policies of one architecture."""
+
+    def __init__(self, env: Any, num_episodes: int) -> None:
+        self.env = env
+        self._venv = vectorize(env, num_episodes)
+        self._run_policy = jax.jit(self._run, static_argnames="deterministic")
+        self._run_function = jax.jit(self._run, static_argnames=("policy", "deterministic"))
+
+    def __call__(
+        self, policy: AnyPolicy, key: jax.Array, deterministic: bool = True
+    ) -> EvaluationResult:
+        """Run the episodes.
+
+        Args:
+            policy: a ``Policy``, or a function ``(obs, key, deterministic) -> action``.
+            key: decides the episodes (and the samples of a policy that is not deterministic).
+            deterministic: take the mode of the policy's distribution.
+        """
+        start = time.perf_counter()
+        run = self._run_policy if isinstance(policy, Policy) else self._run_function
+        sums = jax.device_get(run(policy=policy, key=key, deterministic=deterministic))
+        return EvaluationResult(
+            env=self.env.name,
+            returns=sums["return"],
+            forces=sums["force"] / np.maximum(sums["length"], 1),
+            successes=sums["success"] > 0.5,
+            nan=sums["nan"] > 0,
+            overflow=int(sums["overflow"].sum()),
+            seconds=time.perf_counter() - start,
+        )
+
+    def _run(self, policy: Any, key: jax.Array, deterministic: bool) -> dict[str, jax.Array]:
+        """Sums over the first episode of each world."""
+        venv = self._venv
+        key_reset, key_steps = jax.random.split(key)
+        zero = jnp.zeros(venv.num_envs, jnp.float32)
+        sums = dict.fromkeys(("return", "force", "length", "success", "nan", "overflow"), zero)
+
+        def step(carry: tuple, key: jax.Array) -> tuple[tuple, None]:
+            state, going, sums = carry
+            action = policy(state.obs, key, deterministic)
+            state = venv.step(state, action)
+            metrics = state.metrics
+            gains = {
+                "return": state.reward,
+                "force": metrics.get(FORCE_KEY, zero),
+                "length": zero + 1,
+                "success": metrics.get("success", zero) * state.done,
+                "nan": metrics.get("nan", zero),
+                "overflow": metrics.get("overflow", zero),
+            }
+            sums = {name: sums[name] + going * gain for name, gain in gains.items()}
+            return (state, going * (1 - state.done), sums), None
+
+        keys = jax.random.split(key_steps, self.env.episode_length)
+        (_, _, sums), _ = jax.lax.scan(step, (venv.reset(key_reset), zero + 1, sums), keys)
+        return sums
+
+
+def evaluate(
+    env: Any,
+    policy: AnyPolicy | str,
+    num_episodes: int = 100,
+    key: jax.Array | int = 0,
+    impl: str = "auto",
+    deterministic: bool = True,
+) -> EvaluationResult:
+    """Measure a policy; to measure several, keep an ``Evaluator``.
+
+    Args:
+        env: environment or its id.
+        policy: a ``Policy``, ``"zero"``, ``"random"``, or a function like one.
+        num_episodes: how many, all at once.
+        key: random key or seed.
+        impl: physics, if ``env`` is an id.
+        deterministic: take the mode of the policy's distribution.
+    """
+    env = make_env(env, impl) if isinstance(env, str) else env
+    if isinstance(policy, str):
+        policy = baseline_policy(policy, env.action_size)
+    key = jax.random.PRNGKey(key) if isinstance(key, int) else key
+    return Evaluator(env, num_episodes)(policy, key, deterministic)
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Flags of ``python -m train.evaluate``."""
+
+    env_name: str = "ScratchItchJaco-v0"
+    """Environment id."""
+    load_dir: str | None = None
+    """--save-dir of a training run; without it and --policy, the policy shipped with agym_jax."""
+    policy: str | None = None
+    """A policy file, or "zero" or "random"."""
+    num_episodes: Count = 100
+    """Episodes, all side by side."""
+    seed: int = 1001
+    """Seed of the episodes (Assistive Gym: training seed + 1000)."""
+    non_det: bool = False
+    """Sample actions instead of taking the mode."""
+    impl: str = "auto"
+    """Physics: "jax", "warp" or "auto"."""
+    any_env: bool = False
+    """Accept a policy of another environment with the same observation layout."""
+    json: str | None = None
+    """File to which the result is added as a JSON line."""
+
+
+def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
+    """The command line; returns the exit status."""
+    config = tyro.cli(EvaluateConfig, prog="python -m train.evaluate", args=arguments)
+    jax.config.update("jax_default_matmul_precision", "highest")
+    try:
+        if config.json:
+            check_writable(Path(config.json).parent, "Choose another file with --json.")
+        policy, path = config.policy, config.policy
+        if policy not in BASELINES:
+            path = find_policy(config.env_name, config.load_dir, config.policy)
+        env = make(config.env_name, config.impl)
+        if policy not in BASELINES:
+            policy = load_policy(Path(str(path)), env, config.any_env)
+        result = evaluate(
+            env,
+            policy,  # pyrefly: ignore
+            config.num_episodes,
+            config.seed,
+            deterministic=not config.non_det,
+        )
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    print(result.table())
+    if config.json:
+        trained = dict(policy.info) if isinstance(policy, Policy) else {}
+        line = record(
+            "evaluation",
+            policy=str(path),
+            policy_commit=trained.get("commit"),
+            policy_env_steps=trained.get("env_steps"),
+            seed=config.seed,
+            deterministic=not config.non_det,
+            impl=str(getattr(env, "impl", config.impl)),
+            **result.summary(),
+        )
+        append_record(config.json, line)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

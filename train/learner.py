@@ -1,0 +1,266 @@
+"""The PPO learner: state, advantages, loss, and one compiled function for many updates.
+
+Everything here is pure. One update is a rollout (``train.rollout``), generalised advantage
+estimation with the values of before the update, and ``ppo_epoch`` passes of mini-batch gradient
+steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from brax.training.acme import running_statistics
+from brax.training.agents.ppo.losses import PPONetworkParams
+
+from train.advantage import compute_gae, values_of
+from train.configs import PPOConfig
+from train.networks import STD_MIN, Architecture, init_policy, make_networks
+from train.rollout import Batch, Worlds, collect, strong_types, zero_totals
+
+REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
+LOSSES = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction", "noise_std")
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LearnerState:
+    """All that learning needs to go on; exactly this is saved in a checkpoint."""
+
+    params: PPONetworkParams
+    optimizer: optax.OptState
+    normalizer: running_statistics.RunningStatisticsState  # of the observation
+    returns: running_statistics.RunningStatisticsState  # of the discounted return
+    key: jax.Array
+    env_steps: jax.Array  # environment steps so far; the learning rate follows it    ()
+    updates: jax.Array  # updates so far    ()
+
+
+def architecture(config: PPOConfig, observation_size: int, action_size: int) -> Architecture:
+    """The networks that a configuration asks for."""
+    return Architecture(
+        observation_size=observation_size,
+        action_size=action_size,
+        policy_hidden=tuple(config.policy_hidden),
+        value_hidden=tuple(config.value_hidden),
+        activation=config.activation,
+        distribution=config.distribution,
+        init_noise_std=config.init_noise_std,
+        policy_head_gain=config.policy_head_gain,
+    )
+
+
+def make_optimizer(config: PPOConfig) -> optax.GradientTransformation:
+    """Gradient clipping and Adam, without the learning rate."""
+    return optax.chain(
+        optax.clip_by_global_norm(config.max_grad_norm), optax.scale_by_adam(eps=config.eps)
+    )
+
+
+def init_learner(config: PPOConfig, arch: Architecture, key: jax.Array) -> LearnerState:
+    """A learner that has seen nothing."""
+    networks = make_networks(arch)
+    key_policy, key_value, key = jax.random.split(key, 3)
+    params = PPONetworkParams(
+        policy=init_policy(networks, arch, key_policy),
+        value=networks.value_network.init(key_value),
+    )
+    learner = LearnerState(
+        params=params,
+        optimizer=make_optimizer(config).init(params),
+        normalizer=running_statistics.init_state(jnp.zeros(arch.observation_size)),
+        returns=running_statistics.init_state(jnp.zeros(())),
+        key=key,
+        env_steps=jnp.zeros((), jnp.uint32),
+        updates=jnp.zeros((), jnp.int32),
+    )
+    return strong_types(learner)
+
+
+def ppo_loss(
+    params: PPONetworkParams,
+    normalizer: Any,
+    data: dict[str, jax.Array],
+    key: jax.Array,
+    config: PPOConfig,
+    networks: Any,
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """Clipped surrogate, (clipped) value loss and entropy bonus of one mini-batch.
+
+    Args:
+        params: parameters to differentiate.
+        normalizer: observation statistics the data were collected with.
+        data: ``obs, raw_action, log_prob, advantage, value, target``, each (N, ...).
+        key: random key (the entropy of a squashed Gaussian is sampled).
+        config: settings.
+        networks: from ``make_networks``.
+
+    Returns:
+        The loss, and the scalars named in ``LOSSES``.
+    """
+    distribution = networks.parametric_action_distribution
+    logits = networks.policy_network.apply(normalizer, params.policy, data["obs"])
+    log_ratio = distribution.log_prob(logits, data["raw_action"]) - data["log_prob"]
+    ratio = jnp.exp(log_ratio)
+    clipped = jnp.clip(ratio, 1 - config.clip_param, 1 + config.clip_param)
+    advantage = data["advantage"]
+    policy_loss = -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
+
+    value = networks.value_network.apply(normalizer, params.value, data["obs"])
+    error = (value - data["target"]) ** 2
+    if config.clip_value_loss:
+        change = jnp.clip(value - data["value"], -config.clip_param, config.clip_param)
+        error = jnp.maximum(error, (data["value"] + change - data["target"]) ** 2)
+    value_loss = 0.5 * jnp.mean(error)
+
+    entropy = jnp.mean(distribution.entropy(logits, key))
+    loss = policy_loss + config.value_loss_coef * value_loss - config.entropy_coef * entropy
+    scalars = {
+        "policy_loss": policy_loss,
+        "value_loss": value_loss,
+        "entropy": entropy,
+        "kl": jnp.mean(ratio - 1 - log_ratio),
+        "clip_fraction": jnp.mean(jnp.abs(ratio - 1) > config.clip_param),
+        "noise_std": jnp.mean(distribution.create_dist(logits).scale),
+    }
+    return loss, scalars
+
+
+def learn(
+    learner: LearnerState,
+    batch: Batch,
+    last_obs: jax.Array,
+    key: jax.Array,
+    config: PPOConfig,
+    networks: Any,
+    total_steps: jax.Array,
+) -> tuple[LearnerState, dict[str, jax.Array]]:
+    """One update from one rollout.
+
+    Args:
+        learner: state before.
+        batch: rollout of (T, B).
+        last_obs: observation that follows it    (B, observation).
+        key: random key.
+        config: settings.
+        networks: from ``make_networks``.
+        total_steps: environment steps at which the learning rate reaches zero, float32    ().
+
+    Returns:
+        State after (``key`` untouched) and the mean of each of ``LOSSES``.
+    """
+    stats_returns, reward = learner.returns, batch.reward
+    if config.normalize_reward:
+        stats_returns = running_statistics.update(stats_returns, batch.discounted)
+        std = jnp.sqrt(stats_returns.std**2 + 1e-8)
+        reward = jnp.clip(reward / std, -REWARD_CLIP, REWARD_CLIP)
+
+    def value_fn(obs: jax.Array) -> jax.Array:
+        return networks.value_network.apply(learner.normalizer, learner.params.value, obs)
+
+    values, next_values = values_of(value_fn, batch, last_obs)
+    advantage = compute_gae(
+        reward, values, next_values, batch.done, config.gamma, config.gae_lambda
+    )
+    data = {
+        "obs": batch.obs,
+        "raw_action": batch.raw_action,
+        "log_prob": batch.log_prob,
+        "value": values,
+        "target": advantage + values,
+        "advantage": (advantage - advantage.mean()) / (advantage.std() + 1e-5),
+    }
+    size = reward.size
+    data = {name: leaf.reshape(size, *leaf.shape[2:]) for name, leaf in data.items()}
+    optimizer = make_optimizer(config)
+    progress = learner.env_steps.astype(jnp.float32) / total_steps
+    decay = jnp.maximum(0.0, 1.0 - progress) if config.use_linear_lr_decay else 1.0
+    rate = config.lr * decay
+    gradient = jax.grad(ppo_loss, has_aux=True)
+
+    def step(carry: tuple, item: tuple) -> tuple[tuple, dict[str, jax.Array]]:
+        params, state = carry
+        rows, key = item
+        part = {name: leaf[rows] for name, leaf in data.items()}
+        grads, scalars = gradient(params, learner.normalizer, part, key, config, networks)
+        changes, state = optimizer.update(grads, state)
+        params = jax.tree.map(lambda p, c: p - rate * c, params, changes)
+        return (params, state), scalars
+
+    def epoch(carry: tuple, key: jax.Array) -> tuple[tuple, dict[str, jax.Array]]:
+        key_order, key_steps = jax.random.split(key)
+        order = jax.random.permutation(key_order, size).reshape(config.num_mini_batch, -1)
+        return jax.lax.scan(step, carry, (order, jax.random.split(key_steps, len(order))))
+
+    (params, state), scalars = jax.lax.scan(
+        epoch, (learner.params, learner.optimizer), jax.random.split(key, config.ppo_epoch)
+    )
+    normalizer = learner.normalizer
+    if config.normalize_observations:
+        normalizer = running_statistics.update(normalizer, batch.obs, std_min_value=STD_MIN)
+    learner = replace(
+        learner,
+        params=params,
+        optimizer=state,
+        normalizer=normalizer,
+        returns=stats_returns,
+        env_steps=learner.env_steps + jnp.uint32(size),
+        updates=learner.updates + 1,
+    )
+    return learner, {name: jnp.mean(value) for name, value in scalars.items()}
+
+
+def make_updates(
+    venv: Any, config: PPOConfig, arch: Architecture
+) -> Callable[..., tuple[LearnerState, Worlds, dict[str, jax.Array]]]:
+    """The function to compile: ``count`` updates in one call.
+
+    Args:
+        venv: vectorised environment.
+        config: resolved settings (``num_processes`` is ``venv.num_envs``).
+        arch: networks.
+
+    Returns:
+        ``run(learner, worlds, count, total_steps)``: state and worlds afterwards, and totals over
+        all updates: those of ``train.rollout`` and ``loss/*``. ``count`` (int32) and the length of
+        the run, ``total_steps`` (float32), are traced: runs of every length share one compilation.
+    """
+    networks = make_networks(arch)
+
+    def run(
+        learner: LearnerState, worlds: Worlds, count: jax.Array, total_steps: jax.Array
+    ) -> tuple[LearnerState, Worlds, dict[str, jax.Array]]:
+        def update(_: jax.Array, carry: tuple) -> tuple:
+            learner, worlds, totals = carry
+            key, key_rollout, key_learn = jax.random.split(learner.key, 3)
+            worlds, batch, sums = collect(
+                networks,
+                venv,
+                learner,
+                worlds,
+                key_rollout,
+                num_steps=config.num_steps,
+                gamma=config.gamma,
+                reward_scaling=config.reward_scaling,
+            )
+            learner, losses = learn(
+                replace(learner, key=key),
+                batch,
+                worlds.env_state.obs,
+                key_learn,
+                config,
+                networks,
+                total_steps,
+            )
+            sums |= {f"loss/{name}": value for name, value in losses.items()}
+            return learner, worlds, {name: total + sums[name] for name, total in totals.items()}
+
+        totals = zero_totals(worlds.env_state)
+        totals |= {f"loss/{name}": jnp.zeros((), jnp.float32) for name in LOSSES}
+        return jax.lax.fori_loop(0, count, update, (learner, worlds, totals))
+
+    return run

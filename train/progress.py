@@ -1,0 +1,144 @@
+"""What a person sees while a policy trains: a bar in a terminal, a line now and then elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+LINE_PERIOD = 10.0  # seconds between lines when there is no terminal
+
+
+class Progress(Protocol):
+    """What the training loop tells."""
+
+    def start(self, done: int, total: int) -> None:
+        """Training begins (or goes on) at ``done`` of ``total`` environment steps."""
+
+    def say(self, text: str) -> None:
+        """Something worth a line."""
+
+    def update(self, row: Mapping[str, Any]) -> None:
+        """A row of the learning curve."""
+
+    def stop(self) -> None:
+        """Training ends, for whatever reason."""
+
+
+class Silent:
+    """Shows nothing."""
+
+    def start(self, done: int, total: int) -> None:
+        """Nothing."""
+
+    def say(self, text: str) -> None:
+        """Nothing."""
+
+    def update(self, row: Mapping[str, Any]) -> None:
+        """Nothing."""
+
+    def stop(self) -> None:
+        """Nothing."""
+
+
+def duration(seconds: float) -> str:
+    """``75`` -> ``1:15``; hours appear when needed."""
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
+
+
+class _Latest:
+    """The last known numbers: rows between the ends of episodes have none of their own."""
+
+    def __init__(self) -> None:
+        self.total = self.first = 0
+        self.known: dict[str, float] = {}
+
+    def begin(self, done: int, total: int) -> None:
+        self.first, self.total = done, total
+
+    def words(self, row: Mapping[str, Any]) -> str:
+        self.known |= {k: v for k, v in row.items() if v is not None}
+        parts = [f"{row['steps_per_second']:,.0f} steps/s"]
+        if "return" in self.known:
+            parts.append(f"return {self.known['return']:.1f}")
+            parts.append(f"success {self.known['success']:.0%}")
+        if row["nan_total"]:
+            parts.append(f"NaN {row['nan_total']:.0f}")
+        return "  ".join(parts)
+
+
+class Lines:
+    """Plain lines, for logs: the first, the last, and at most one in ten seconds between."""
+
+    def __init__(self, period: float = LINE_PERIOD) -> None:
+        self._latest = _Latest()
+        self._period, self._next = period, 0.0
+
+    def start(self, done: int, total: int) -> None:
+        """See ``Progress``."""
+        self._latest.begin(done, total)
+
+    def say(self, text: str) -> None:
+        """See ``Progress``."""
+        print(text, flush=True)
+
+    def update(self, row: Mapping[str, Any]) -> None:
+        """See ``Progress``."""
+        words, total = self._latest.words(row), self._latest.total
+        now = time.monotonic()
+        if now < self._next and row["env_steps"] < total:
+            return
+        self._next = now + self._period
+        left = (total - row["env_steps"]) / max(row["steps_per_second"], 1e-9)
+        share = row["env_steps"] / total
+        self.say(f"{row['env_steps']:>11,} steps {share:4.0%}  {words}  left {duration(left)}")
+
+    def stop(self) -> None:
+        """See ``Progress``."""
+
+
+class Bar:
+    """A progress bar with speed, return, success and time left, for terminals."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+        from rich.progress import TimeRemainingColumn as Remaining
+
+        self._latest = _Latest()
+        self._console = Console(highlight=False)
+        columns = (
+            BarColumn(bar_width=30),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[words]}"),
+            TextColumn("left"),
+            Remaining(),
+        )
+        self._progress = Progress(*columns, console=self._console)
+        self._task: Any = None
+
+    def start(self, done: int, total: int) -> None:
+        """See ``Progress``."""
+        self._latest.begin(done, total)
+        self._progress.start()
+        self._task = self._progress.add_task("train", total=total, completed=done, words="")
+
+    def say(self, text: str) -> None:
+        """See ``Progress``."""
+        self._console.print(text, markup=False)
+
+    def update(self, row: Mapping[str, Any]) -> None:
+        """See ``Progress``."""
+        self._progress.update(self._task, completed=row["env_steps"], words=self._latest.words(row))
+
+    def stop(self) -> None:
+        """See ``Progress``."""
+        self._progress.stop()
+
+
+def for_terminal() -> Progress:
+    """A bar if standard output is a terminal, otherwise lines."""
+    return Bar() if sys.stdout.isatty() else Lines()

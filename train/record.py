@@ -1,0 +1,107 @@
+"""Result lines: what was measured, by which commit, on which device, with which versions."""
+
+from __future__ import annotations
+
+import datetime
+import importlib.metadata
+import json
+import os
+import platform
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import jax
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "benchmarks" / "results"
+PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "brax", "flax", "optax")
+
+
+def commit() -> str | None:
+    """Git commit of this checkout, with ``+changes`` if files differ from it; None outside git."""
+    try:
+        git = ["git", "-C", str(ROOT)]
+        head = subprocess.run(
+            [*git, "rev-parse", "HEAD"], capture_output=True, text=True, timeout=10
+        )
+        status = subprocess.run(
+            [*git, "status", "--porcelain", "--untracked-files=no"],
+            capture_output=True,
+            text=True,
+            timeout=10,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    if head.returncode:
+        return None
+    return head.stdout.strip() + ("+changes" if status.stdout.strip() else "")
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, agym_jax and the packages that results depend on, where installed."""
+    found = {"python": platform.python_version(), "agym_jax": _agym_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _agym_version() -> str:
+    try:
+        return importlib.metadata.version("agym_jax")
+    except importlib.metadata.PackageNotFoundError:
+        import tomllib
+
+        project = ROOT / "pyproject.toml"
+        return (
+            tomllib.loads(project.read_text())["project"]["version"]
+            if project.is_file()
+            else "unknown"
+        )
+
+
+def device() -> dict[str, Any]:
+    """What JAX runs on, in words: platform, kind and number of devices, CPU cores."""
+    devices = jax.devices()
+    kind = devices[0].device_kind
+    if devices[0].platform == "cpu":
+        kind = _cpu_name() or kind
+    return {
+        "platform": devices[0].platform,
+        "kind": kind,
+        "count": len(devices),
+        "cpu_cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
+    }
+
+
+def _cpu_name() -> str | None:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or None
+    return next((s.split(":", 1)[1].strip() for s in lines if s.startswith("model name")), None)
+
+
+def record(kind: str, **fields: Any) -> dict[str, Any]:
+    """A result line: ``kind``, the fields, and commit, device, versions and time (UTC)."""
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    about = {"commit": commit(), "device": device(), "versions": versions(), "time": now}
+    return {"kind": kind, **fields, **about}
+
+
+def append_record(path: Path | str, line: dict[str, Any]) -> None:
+    """Add a result line to a file of JSON lines.
+
+    Args:
+        path: file; those of the project lie in ``RESULTS``.
+        line: from ``record``.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as file:
+        file.write(json.dumps(line, sort_keys=True) + "\n")

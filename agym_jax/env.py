@@ -310,7 +310,7 @@ class AssistiveEnv(brax_envs.Env):
             arm = [f"{side[0]}_{j}" for j in ("shoulder_y", "shoulder_x", "shoulder_z", "elbow_x")]
             if arm[0] in names:
                 i = np.array([names.index(j) for j in arm])
-                torque = torque.at[i].set(limits.limit_torque(self._arm_limits, q[i], v[i], side))
+                torque = torque.at[i].set(limits.limit_torque(self._arm_limits, q[i], v[i], 1.0 if side == "right" else -1.0))
         return torque
 
     def _observe(self, task: Any, sensed: Sensed) -> Array:

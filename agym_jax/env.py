@@ -202,7 +202,7 @@ class AssistiveEnv(brax_envs.Env):
         )  # fmt: skip
         rewards = {k: jnp.where(bad, 0.0, v) for k, v in rewards.items()}
         over = (step >= self.episode_length) | bad
-        return state.replace(
+        stepped = state.replace(
             data=data,
             obs=jnp.where(bad, 0.0, obs),
             reward=sum(rewards.values()),
@@ -211,6 +211,7 @@ class AssistiveEnv(brax_envs.Env):
             task=task,
             episode=dataclasses.replace(episode, person_target=hold, step=step),
         )
+        return _strong(stepped)
 
     # -- pieces ---------------------------------------------------------------------------------
 
@@ -247,13 +248,11 @@ class AssistiveEnv(brax_envs.Env):
         obs = self._observe(task, sensed)
         zero = jnp.float32(0.0)
         if where is not None and old is not None:
-            return old.replace(
-                data=data, obs=jnp.where(where, obs, old.obs), task=_select(where, task, old.task),
-                episode=episode,
-            )  # fmt: skip
+            task, obs = _select(where, task, old.task), jnp.where(where, obs, old.obs)
+            return _strong(old.replace(data=data, obs=obs, task=task, episode=episode))
         rewards = dict.fromkeys(self._terms, zero)
         metrics = self._metrics(task, rewards, sensed, data, jnp.bool_(False))
-        return State(data, obs, zero, zero, metrics, {}, task, episode, key)
+        return _strong(State(data, obs, zero, zero, metrics, {}, task, episode, key))
 
     def _model_of(self, episode: Episode) -> mjx.Model:
         """The model with this episode's person and robot base in it."""
@@ -424,6 +423,14 @@ def choose_impl(impl: str) -> str:
     if impl == "auto":
         return "warp" if has_warp and jax.default_backend() == "gpu" else "jax"
     return impl
+
+
+def _strong(tree: Any) -> Any:
+    """No weak types: what ``reset`` and ``step`` return must compile once."""
+    return jax.tree.map(
+        lambda x: jax.lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x,
+        tree,
+    )
 
 
 def _select(where: Array, new: Any, old: Any) -> Any:

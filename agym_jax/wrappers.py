@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -74,7 +75,7 @@ class VectorEnv:
         info = {
             **info,
             "terminal_obs": state.obs,
-            "truncation": jnp.where(finished & ~failed, 1.0, 0.0),
+            "truncation": (finished & ~failed).astype(jnp.float32),
         }
         state = jax.lax.cond(
             jnp.any(finished),
@@ -83,6 +84,17 @@ class VectorEnv:
             state,
         )
         return state.replace(info=info)
+
+
+    def stagger(self, state: Any, key: Array) -> Any:
+        """Put the worlds' clocks at random steps, so that episodes do not all end together.
+
+        Args:
+            state: of the batch.
+            key: PRNG key.
+        """
+        step = jax.random.randint(key, (self.num_envs,), 0, self.episode_length, jnp.int32)
+        return state.replace(episode=dataclasses.replace(state.episode, step=step))
 
 
 def vectorize(env: Any, num_envs: int) -> VectorEnv:

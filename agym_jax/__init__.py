@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from agym_jax.state import State
 
 __version__ = "0.1.0"
-__all__ = ["AgymError", "Env", "State", "list_envs", "make"]
+__all__ = ["AgymError", "Env", "State", "list_envs", "make", "register_envs"]
 
 _cache.enable()
 _mjx_patch.apply()
@@ -63,3 +63,20 @@ def __getattr__(name: str) -> Any:
 
         return State
     raise AttributeError(f"module 'agym_jax' has no attribute {name!r}")
+
+
+def register_envs() -> None:
+    """Make every id known to gymnasium, which builds ``agym_jax.adapters.gymnasium.GymnasiumEnv``.
+
+    Done on import; do it again after ``agym_jax.registry`` was given a task or a robot.
+    """
+    import gymnasium
+
+    for name in list_envs():
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                name, "agym_jax.adapters.gymnasium:GymnasiumEnv", kwargs={"env_id": name}
+            )
+
+
+register_envs()

@@ -15,7 +15,9 @@ def enable() -> None:
     user configured in JAX itself is left alone.
     """
     wanted = os.environ.get("AGYM_JAX_CACHE", "")
-    if wanted.lower() in ("off", "0", "no") or jax.config.jax_compilation_cache_dir:
+    if wanted.lower() in ("off", "0", "no") or getattr(
+        jax.config, "jax_compilation_cache_dir", None
+    ):
         return
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     folder = Path(wanted or Path(base) / "agym_jax" / "xla").expanduser()

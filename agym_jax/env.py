@@ -14,6 +14,7 @@ defect 1 of reference tasks.md).
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import importlib.util
 import warnings
@@ -39,6 +40,11 @@ from agym_jax.state import Episode, Placement, State
 IMPLEMENTATIONS = ("auto", "jax", "warp")
 WARP_CONTACTS_PER_WORLD = 24
 WARP_ROWS_PER_WORLD = 128
+WARP_ITERATIONS, WARP_LS_ITERATIONS = 20, 20
+"""Warp stops when it has converged, so generous limits cost nothing."""
+WARP_LOST = 0b1001111
+"""Bits of Warp's overflow flags that mean lost contacts or rows: NEFC, NJMAX_NNZ, BROADPHASE,
+NARROWPHASE, CONTACT_MATCH (not: iteration limits). MuJoCo Warp 3.17, types.OverflowType."""
 
 
 class AssistiveEnv(brax_envs.Env):
@@ -73,7 +79,7 @@ class AssistiveEnv(brax_envs.Env):
         self._arm_limits = limits.load_arm_limits()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # MJX's notes on its own experimental features
-            self._model = mjx.put_model(self.scene.model, impl=self.impl)
+            self._model = _put_model(self.scene.model, self.impl)
         self._limits = np.array(self.scene.model.jnt_range[self.scene.index.robot_joint], np.float32)
         self._terms = self._reward_terms()
 
@@ -334,7 +340,7 @@ class AssistiveEnv(brax_envs.Env):
         """1.0 where Warp's buffers lost a contact or a constraint row ()."""
         if self.impl != "warp":
             return jnp.float32(0.0)
-        return (data._impl.overflow != 0).any().astype(jnp.float32)
+        return ((data._impl.overflow & WARP_LOST) != 0).any().astype(jnp.float32)
 
     def _reward_terms(self) -> list[str]:
         """Names of the reward terms, without running anything."""
@@ -423,6 +429,16 @@ def choose_impl(impl: str) -> str:
     if impl == "auto":
         return "warp" if has_warp and jax.default_backend() == "gpu" else "jax"
     return impl
+
+
+def _put_model(model: mujoco.MjModel, impl: str) -> mjx.Model:
+    if impl != "warp":
+        return mjx.put_model(model, impl=impl)
+    model = copy.copy(model)
+    model.opt.iterations, model.opt.ls_iterations = WARP_ITERATIONS, WARP_LS_ITERATIONS
+    put = mjx.put_model(model, impl=impl)
+    option = put.opt._impl.replace(warn_overflow=WARP_LOST)  # no print for iteration limits
+    return put.replace(opt=put.opt.replace(_impl=option))
 
 
 def _strong(tree: Any) -> Any:

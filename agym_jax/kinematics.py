@@ -55,7 +55,9 @@ def chain_of(model: mujoco.MjModel, joints: np.ndarray, site: int, base: int) ->
     path, b = [], int(model.site_bodyid[site])
     while b != base:
         if b == 0:
-            raise SpecError(f"Site {model.site(site).name!r} does not hang on body {model.body(base).name!r}.")
+            raise SpecError(
+                f"Site {model.site(site).name!r} does not hang on body {model.body(base).name!r}."
+            )
         path.append(b)
         b = int(model.body_parentid[b])
     rows: dict[str, list] = {"pos": [], "rot": [], "axis": []}
@@ -79,8 +81,9 @@ def chain_of(model: mujoco.MjModel, joints: np.ndarray, site: int, base: int) ->
     tip_pos = pos + rot @ model.site_pos[site]
     tip_rot = rot @ rotation_matrix(model.site_quat[site])
     limits = model.jnt_range[wanted]
+    joint_pos, joint_rot, axis = (np.array(rows[k], np.float32) for k in ("pos", "rot", "axis"))
     return Chain(
-        *(np.array(rows[k], np.float32) for k in ("pos", "rot", "axis")),
+        joint_pos, joint_rot, axis,
         tip_pos.astype(np.float32), tip_rot.astype(np.float32),
         limits[:, 0].astype(np.float32), limits[:, 1].astype(np.float32),
     )  # fmt: skip

@@ -100,7 +100,9 @@ def main(argv: list[str]) -> int:
     from agym_jax.registry import parse
 
     if len(argv) != 1:
-        print("usage: python -m agym_jax.observe ENV-ID, such as ScratchItchJaco-v0", file=sys.stderr)
+        print(
+            "usage: python -m agym_jax.observe ENV-ID, such as ScratchItchJaco-v0", file=sys.stderr
+        )
         return 2
     try:
         recipe = parse(argv[0])

@@ -48,7 +48,10 @@ def register_robot(robot: RobotSpec) -> None:
 def list_envs() -> list[str]:
     """Every environment id, static person first."""
     return [
-        f"{task}{robot}{human}-{VERSION}" for human in ("", "Human") for task in TASKS for robot in ROBOTS
+        f"{task}{robot}{human}-{VERSION}"
+        for human in ("", "Human")
+        for task in TASKS
+        for robot in ROBOTS
     ]
 
 

@@ -1,4 +1,4 @@
-"""Pictures and clips of a scene, with OpenGL where there is one and without it where not.
+"""Pictures of a scene, with OpenGL where there is one and without it where not.
 
 ``Renderer`` opens its own OpenGL context (EGL, then OSMesa, then GLFW) instead of leaving that
 to ``import mujoco``, which reads ``MUJOCO_GL`` once and too early for anyone to change it.
@@ -10,15 +10,12 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import importlib
-import math
 import os
 import platform
 import sys
-import tempfile
 import warnings
 import weakref
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Protocol
 
 import mujoco
@@ -30,14 +27,10 @@ from agym_jax.raycast import Marker
 
 __all__ = [
     "Marker",
-    "MissingExtraError",
-    "OutputPathError",
     "RenderBackendError",
     "RenderFallbackWarning",
     "Renderer",
     "UnknownCameraError",
-    "contact_sheet",
-    "write_clip",
 ]
 
 BACKENDS = ("auto", "gl", "raycast")
@@ -52,20 +45,8 @@ class UnknownCameraError(UnknownNameError):
     """A camera that the model does not have."""
 
 
-class MissingExtraError(AgymError, ImportError):
-    """An optional Python package that this needs is not installed."""
-
-
-class OutputPathError(AgymError, OSError):
-    """A file that cannot be written: its folder, its name or its suffix."""
-
-
 class RenderBackendError(AgymError, RuntimeError):
     """A way to draw that does not exist or cannot run here."""
-
-
-class FrameError(AgymError, ValueError):
-    """Frames that are none, or are not uint8 pictures of one size."""
 
 
 class RenderFallbackWarning(UserWarning):
@@ -204,6 +185,7 @@ class _GLPictures:
             self._gl.make_current()
             self._context.free()
             self._gl.free()
+        self._gl._context = None  # else MuJoCo tries again when the interpreter has gone half
 
 
 class _RaycastPictures:
@@ -319,9 +301,10 @@ class Renderer:
 def _find_camera(model: mujoco.MjModel, camera: str | int) -> mujoco.MjvCamera:
     """MuJoCo's camera of that name or number."""
     names = [model.camera(i).name for i in range(model.ncam)]
-    number = camera
     if isinstance(camera, str):
         number = names.index(camera) if camera in names else model.ncam
+    else:
+        number = camera
     out = mujoco.MjvCamera()
     if not -1 <= number < model.ncam:
         advice = "-1 is a free camera that sees everything."
@@ -331,150 +314,3 @@ def _find_camera(model: mujoco.MjModel, camera: str | int) -> mujoco.MjvCamera:
     else:
         out.type, out.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, number
     return out
-
-
-def _check_frames(frames: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The frames as a list, or FrameError."""
-    frames = [np.asarray(frame) for frame in frames]
-    if not frames:
-        raise FrameError("No frames to write.")
-    for i, frame in enumerate(frames):
-        shape, kind = frame.shape, frame.dtype
-        if len(shape) != 3 or shape[2] != 3 or kind != np.uint8 or shape != frames[0].shape:
-            raise FrameError(
-                f"Frame {i} is {kind} of shape {shape}; all must be uint8 (height, width, 3) "
-                f"of one size, and frame 0 has shape {frames[0].shape}."
-            )
-    return frames
-
-
-def _check_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
-    """A path that can be written, its folder made, or OutputPathError."""
-    path = Path(path)
-    if path.suffix.lower() not in suffixes:
-        near = did_you_mean(path.suffix.lower(), suffixes)
-        raise OutputPathError(f"Cannot write {path}: unknown suffix {path.suffix!r}. {near}")
-    if path.is_dir():
-        raise OutputPathError(f"Cannot write {path}: it is a folder.")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:
-        raise OutputPathError(
-            f"Cannot write {path}: its folder {path.parent} is not writable ({error.strerror})."
-        ) from error
-    return path
-
-
-def _import_extra(module: str, advice: str) -> Any:
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise MissingExtraError(
-            f'{module} is not installed. {advice}pip install "agym_jax[train]"'
-        ) from error
-
-
-def write_clip(frames: Sequence[np.ndarray], path: str | os.PathLike[str], fps: float = 10) -> Path:
-    """Write a film.
-
-    Args:
-        frames: pictures, uint8 (height, width, 3), all of one size.
-        path: ends in .mp4 (needs imageio-ffmpeg) or .gif (needs pillow). The folder is made. An
-            mp4 of odd width or height gets one more column or row.
-        fps: frames a second [1/s]; a .gif keeps time in hundredths of a second, and stores a run
-            of equal frames as one long frame.
-
-    Returns:
-        The path.
-
-    Raises:
-        OutputPathError: unknown suffix or unwritable folder, before anything is encoded.
-        MissingExtraError: the package that this suffix needs is missing.
-        FrameError: no frames, or not of one size.
-    """
-    path = _check_path(path, (".gif", ".mp4"))
-    frames = _check_frames(frames)
-    if path.suffix.lower() == ".gif":
-        _write_gif(frames, path, fps)
-        return path
-    ffmpeg = _import_extra("imageio_ffmpeg", "Write a .gif instead, or: ")
-    height, width, _ = frames[0].shape
-    pad = ((0, height % 2), (0, width % 2), (0, 0))  # yuv420p halves both
-    writer = ffmpeg.write_frames(
-        str(path), (width + width % 2, height + height % 2), fps=fps, quality=8, macro_block_size=2
-    )
-    writer.send(None)
-    with contextlib.closing(writer):
-        for frame in frames:
-            writer.send(np.ascontiguousarray(np.pad(frame, pad, mode="edge")))
-    return path
-
-
-def _write_gif(frames: list[np.ndarray], path: Path, fps: float) -> None:
-    """One palette for all frames and no dithering, so that what does not move costs nothing.
-
-    The palette is cut from the root of each colour's frequency; otherwise the shades of a large
-    floor would take every entry, and a small red target would turn brown.
-    """
-    image = _import_extra("PIL.Image", "")
-    picks = frames[:: max(1, math.ceil(len(frames) / 12))]
-    coarse = np.concatenate([frame.reshape(-1, 3) for frame in picks]) >> 2
-    colors, counts = np.unique(coarse @ (4096, 64, 1), return_counts=True)
-    pool = np.repeat(colors, np.ceil(np.sqrt(counts)).astype(int))
-    pool = np.stack([pool >> 12, (pool >> 6) & 63, pool & 63], axis=-1).astype(np.uint8)
-    pool = image.fromarray((pool << 2 | pool >> 4)[None])
-    palette = pool.quantize(colors=255, method=image.Quantize.MEDIANCUT, kmeans=1)
-    indexed = [
-        image.fromarray(frame).quantize(palette=palette, dither=image.Dither.NONE)
-        for frame in frames
-    ]
-    indexed[0].save(
-        path, save_all=True, append_images=indexed[1:], duration=round(1000 / fps), loop=0
-    )
-
-
-def contact_sheet(
-    frames: Sequence[np.ndarray],
-    path: str | os.PathLike[str],
-    columns: int = 5,
-    every: int | None = None,
-    labels: Sequence[str] | None = None,
-) -> Path:
-    """Write a grid of captioned frames, to look at an episode at once.
-
-    Args:
-        frames: pictures, uint8 (height, width, 3), all of one size.
-        path: ends in .png.
-        columns: pictures in a row.
-        every: take every so many frames; None takes at most four rows of them.
-        labels: a caption for each of ``frames``; None numbers them.
-
-    Returns:
-        The path.
-    """
-    path = _check_path(path, (".png",))
-    frames = _check_frames(frames)
-    if labels is not None and len(labels) != len(frames):
-        raise FrameError(f"There are {len(frames)} frames but {len(labels)} labels.")
-    image, pen = _import_extra("PIL.Image", ""), _import_extra("PIL.ImageDraw", "")
-    every = every or max(1, math.ceil(len(frames) / (4 * columns)))
-    picks = range(0, len(frames), every)
-    height, width, _ = frames[0].shape
-    caption, gap = 16, 4
-    columns = min(columns, len(picks))
-    rows = math.ceil(len(picks) / columns)
-    sheet = image.new(
-        "RGB",
-        (columns * (width + gap) + gap, rows * (height + caption + gap) + gap),
-        (250, 250, 250),
-    )
-    draw = pen.Draw(sheet)
-    for place, i in enumerate(picks):
-        x = gap + (place % columns) * (width + gap)
-        y = gap + (place // columns) * (height + caption + gap)
-        draw.text((x + 2, y + 2), str(labels[i]) if labels is not None else f"{i}", (40, 40, 40))
-        sheet.paste(image.fromarray(frames[i]), (x, y + caption))
-    sheet.save(path)
-    return path

@@ -1,3 +1,4 @@
+# ruff: noqa: D103
 """The arm's pose-dependent limits: agreement with Assistive Gym's classifier, and their torque."""
 
 from __future__ import annotations

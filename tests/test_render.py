@@ -2,13 +2,14 @@
 """Pictures: both backends see the same scene, and every refusal says what to do."""
 
 import functools
+import sys
 import warnings
 
 import mujoco
 import numpy as np
 import pytest
 
-from agym_jax import render
+from agym_jax import clips, render
 from agym_jax.errors import AgymError
 from agym_jax.render import Marker, Renderer
 
@@ -264,7 +265,7 @@ def film(n: int = 7, height: int = 48, width: int = 64) -> list[np.ndarray]:
 def test_gif_is_read_back(tmp_path):
     image = pytest.importorskip("PIL.Image")
     frames = film()
-    path = render.write_clip(frames, tmp_path / "new" / "clip.gif", fps=20)
+    path = clips.write_clip(frames, tmp_path / "new" / "clip.gif", fps=20)
     with image.open(path) as clip:
         assert (clip.n_frames, clip.size, clip.info["duration"]) == (7, (64, 48), 50)
         clip.seek(6)
@@ -277,7 +278,7 @@ def test_gif_keeps_the_colour_of_small_things(tmp_path):
     shades = np.linspace(90, 220, 200 * 200).reshape(200, 200, 1)
     frame = (shades + np.array([0, 3, 9])).astype(np.uint8)
     frame[100:104, 100:104] = (250, 30, 30)
-    path = render.write_clip([frame, frame[::-1]], tmp_path / "clip.gif")
+    path = clips.write_clip([frame, frame[::-1]], tmp_path / "clip.gif")
     with image.open(path) as clip:
         read = np.asarray(clip.convert("RGB")).astype(int)
     assert np.abs(read[101, 101] - (250, 30, 30)).max() < 12
@@ -288,7 +289,7 @@ def test_gif_keeps_the_colour_of_small_things(tmp_path):
 def test_mp4_is_read_back(tmp_path, size):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     frames = film(7, *size)
-    path = render.write_clip(frames, str(tmp_path / "clip.mp4"), fps=10)
+    path = clips.write_clip(frames, str(tmp_path / "clip.mp4"), fps=10)
     reader = ffmpeg.read_frames(str(path))
     about = next(reader)
     assert about["size"] == (64, 48) and about["fps"] == 10
@@ -302,39 +303,39 @@ def test_mp4_is_read_back(tmp_path, size):
 
 
 def test_mp4_without_the_extra_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(render.sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(render.MissingExtraError, match=r'gif.*pip install "agym_jax\[train\]"'):
-        render.write_clip(film(), tmp_path / "clip.mp4")
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(clips.MissingExtraError, match=r'gif.*pip install "agym_jax\[train\]"'):
+        clips.write_clip(film(), tmp_path / "clip.mp4")
 
 
 def test_contact_sheet_is_read_back(tmp_path):
     image = pytest.importorskip("PIL.Image")
     frames = film()
-    path = render.contact_sheet(frames, tmp_path / "sheet.png", columns=3, labels=list("abcdefg"))
+    path = clips.contact_sheet(frames, tmp_path / "sheet.png", columns=3, labels=list("abcdefg"))
     with image.open(path) as sheet:
         assert sheet.size == (3 * 68 + 4, 3 * (48 + 20) + 4)
         third = np.asarray(sheet)[20 : 20 + 48, 4 + 2 * 68 : 4 + 2 * 68 + 64]
     np.testing.assert_array_equal(third, frames[2])
-    sparse = render.contact_sheet(frames, tmp_path / "sparse.png", every=3)
+    sparse = clips.contact_sheet(frames, tmp_path / "sparse.png", every=3)
     with image.open(sparse) as sheet:
         assert sheet.size == (3 * 68 + 4, 48 + 20 + 4)
 
 
-@pytest.mark.parametrize("write", [render.write_clip, render.contact_sheet])
+@pytest.mark.parametrize("write", [clips.write_clip, clips.contact_sheet])
 def test_unwritable_folder_is_refused_before_any_work(tmp_path, write):
     (tmp_path / "file").write_text("not a folder")
-    suffix = ".gif" if write is render.write_clip else ".png"
+    suffix = ".gif" if write is clips.write_clip else ".png"
     never_read = iter(())  # the frames would fail too, later
-    with pytest.raises(render.OutputPathError, match="not writable"):
+    with pytest.raises(clips.OutputPathError, match="not writable"):
         write(never_read, tmp_path / "file" / f"clip{suffix}")
-    with pytest.raises(render.OutputPathError, match="it is a folder"):
+    with pytest.raises(clips.OutputPathError, match="it is a folder"):
         (tmp_path / f"is{suffix}").mkdir()
         write(never_read, tmp_path / f"is{suffix}")
 
 
 def test_unknown_suffix_names_the_known(tmp_path):
-    with pytest.raises(render.OutputPathError, match=r"'.mp5'.*Did you mean '.mp4'.*\.gif, \.mp4"):
-        render.write_clip(film(), tmp_path / "clip.mp5")
+    with pytest.raises(clips.OutputPathError, match=r"'.mp5'.*Did you mean '.mp4'.*\.gif, \.mp4"):
+        clips.write_clip(film(), tmp_path / "clip.mp5")
 
 
 @pytest.mark.parametrize(
@@ -347,4 +348,4 @@ def test_unknown_suffix_names_the_known(tmp_path):
 )
 def test_bad_frames_are_refused(tmp_path, frames, said):
     with pytest.raises(AgymError, match=said):
-        render.write_clip(frames, tmp_path / "clip.gif")
+        clips.write_clip(frames, tmp_path / "clip.gif")

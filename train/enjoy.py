@@ -118,6 +118,13 @@ def caption(frame: Frame) -> str:
     return f"step {frame.step}  return {frame.total:.1f}  force {frame.force:.1f} N{success}"
 
 
+def markers(env: Any, state: Any) -> list[Any]:
+    """What the task draws into a picture, as ``agym_jax.raycast.Marker``."""
+    from agym_jax.raycast import Marker
+
+    return [m if isinstance(m, Marker) else Marker(*m) for m in env.markers(state)]
+
+
 def film(
     env: Any, frames: Sequence[Frame], width: int, height: int, camera: str, backend: str
 ) -> list[Any]:
@@ -129,7 +136,7 @@ def film(
     with Renderer(model, width, height, camera, backend) as renderer:
         for frame in frames:
             env.write_mujoco(frame.state, data, model)
-            pictures.append(renderer.render(data, env.markers(frame.state)))
+            pictures.append(renderer.render(data, markers(env, frame.state)))
     return pictures
 
 
@@ -198,7 +205,7 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
             )
             labels += [caption(frame) for frame in frames]
     if config.clip or config.sheet:
-        from agym_jax.render import contact_sheet, write_clip
+        from agym_jax.clips import contact_sheet, write_clip
 
         if config.clip:
             print(f"Film: {write_clip(pictures, config.clip, fps=round(1 / env.dt))}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -132,6 +132,52 @@ class EvaluationResult:
         }
 
 
+def zero_sums(num_envs: int) -> dict[str, jax.Array]:
+    """What ``add_step`` adds to: one entry a world."""
+    names = ("return", "force", "length", "success", "nan", "overflow")
+    return dict.fromkeys(names, jnp.zeros(num_envs, jnp.float32))
+
+
+def add_step(
+    going: jax.Array, sums: dict[str, jax.Array], state: Any
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """Add one step to the sums over the first episode of each world.
+
+    Args:
+        going: 1 in the worlds whose first episode had not ended before the step    (B,).
+        sums: so far.
+        state: of all worlds after the step.
+
+    Returns:
+        ``going`` and ``sums`` after the step.
+    """
+    zero, metrics = jnp.zeros_like(going), state.metrics
+    gains = {
+        "return": state.reward,
+        "force": metrics.get(FORCE_KEY, zero),
+        "length": zero + 1,
+        "success": metrics.get("success", zero) * state.done,
+        "nan": metrics.get("nan", zero),
+        "overflow": metrics.get("overflow", zero),
+    }
+    sums = {name: sums[name] + going * gain for name, gain in gains.items()}
+    return going * (1 - state.done), sums
+
+
+def result_of(env_name: str, sums: Mapping[str, Any], seconds: float) -> EvaluationResult:
+    """The result that the sums of all steps make."""
+    sums = {name: np.asarray(value) for name, value in sums.items()}
+    return EvaluationResult(
+        env=env_name,
+        returns=sums["return"],
+        forces=sums["force"] / np.maximum(sums["length"], 1),
+        successes=sums["success"] > 0.5,
+        nan=sums["nan"] > 0,
+        overflow=int(sums["overflow"].sum()),
+        seconds=seconds,
+    )
+
+
 class Evaluator:
     """Runs a fixed number of episodes; compiles once for all policies of one architecture."""
 
@@ -154,41 +200,22 @@ class Evaluator:
         start = time.perf_counter()
         run = self._run_policy if isinstance(policy, Policy) else self._run_function
         sums = jax.device_get(run(policy=policy, key=key, deterministic=deterministic))
-        return EvaluationResult(
-            env=self.env.name,
-            returns=sums["return"],
-            forces=sums["force"] / np.maximum(sums["length"], 1),
-            successes=sums["success"] > 0.5,
-            nan=sums["nan"] > 0,
-            overflow=int(sums["overflow"].sum()),
-            seconds=time.perf_counter() - start,
-        )
+        return result_of(self.env.name, sums, time.perf_counter() - start)
 
     def _run(self, policy: Any, key: jax.Array, deterministic: bool) -> dict[str, jax.Array]:
         """Sums over the first episode of each world."""
         venv = self._venv
         key_reset, key_steps = jax.random.split(key)
-        zero = jnp.zeros(venv.num_envs, jnp.float32)
-        sums = dict.fromkeys(("return", "force", "length", "success", "nan", "overflow"), zero)
+        going = jnp.ones(venv.num_envs, jnp.float32)
 
         def step(carry: tuple, key: jax.Array) -> tuple[tuple, None]:
             state, going, sums = carry
-            action = policy(state.obs, key, deterministic)
-            state = venv.step(state, action)
-            metrics = state.metrics
-            gains = {
-                "return": state.reward,
-                "force": metrics.get(FORCE_KEY, zero),
-                "length": zero + 1,
-                "success": metrics.get("success", zero) * state.done,
-                "nan": metrics.get("nan", zero),
-                "overflow": metrics.get("overflow", zero),
-            }
-            sums = {name: sums[name] + going * gain for name, gain in gains.items()}
-            return (state, going * (1 - state.done), sums), None
+            state = venv.step(state, policy(state.obs, key, deterministic))
+            return (state, *add_step(going, sums, state)), None
 
         keys = jax.random.split(key_steps, self.env.episode_length)
-        (_, _, sums), _ = jax.lax.scan(step, (venv.reset(key_reset), zero + 1, sums), keys)
+        start = (venv.reset(key_reset), going, zero_sums(venv.num_envs))
+        (_, _, sums), _ = jax.lax.scan(step, start, keys)
         return sums
 
 

@@ -65,7 +65,7 @@ def init_learner(config: PPOConfig, arch: Architecture, key: jax.Array) -> Learn
     """A learner that has seen nothing."""
     networks = make_networks(arch)
     key_policy, key_value, key = jax.random.split(key, 3)
-    params = PPONetworkParams(
+    params: Any = PPONetworkParams(
         policy=init_policy(networks, arch, key_policy),
         value=networks.value_network.init(key_value),
     )
@@ -156,7 +156,8 @@ def learn(
     stats_returns, reward = learner.returns, batch.reward
     if config.normalize_reward:
         stats_returns = running_statistics.update(stats_returns, batch.discounted)
-        std = jnp.sqrt(stats_returns.std**2 + 1e-8)
+        spread: Any = stats_returns.std
+        std = jnp.sqrt(spread**2 + 1e-8)
         reward = jnp.clip(reward / std, -REWARD_CLIP, REWARD_CLIP)
 
     def value_fn(obs: jax.Array) -> jax.Array:

@@ -65,11 +65,11 @@ def write_npz(path: Path, arrays: Mapping[str, np.ndarray], meta: Mapping[str, A
         meta: anything JSON can hold.
     """
     text = json.dumps(meta, sort_keys=True).encode()
-    content = {name: np.asarray(array) for name, array in arrays.items()}
+    content: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}
     content[META] = np.frombuffer(text, np.uint8)
     content[DIGEST] = _digest(content)
     buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **content)  # pyrefly: ignore
+    np.savez(buffer, allow_pickle=False, **content)
     write_file(path, buffer.getvalue())
 
 

@@ -149,7 +149,9 @@ def load_policy(path: Path | str, env: Any = None, any_env: bool = False) -> Pol
         raise PolicyDamagedError(
             f"{path} is not a policy of format {FORMAT} (format {meta.get('format')!r})."
         )
-    sizes = {k: tuple(v) if isinstance(v, list) else v for k, v in meta.pop("arch").items()}
+    sizes: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in meta.pop("arch").items()
+    }
     policy = Policy(
         weights=_unflatten(arrays, "policy"),
         mean=jnp.asarray(arrays["observation/mean"]),

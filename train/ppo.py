@@ -33,6 +33,7 @@ from train.progress import Progress, Silent, for_terminal
 from train.result import TrainResult, summary
 from train.rollout import Worlds, first_worlds
 from train.run_folder import RunFolder
+from train.stepwise import StepwiseEnv, start_stepwise
 
 SAVE_PERIOD = 60.0  # seconds after which a checkpoint is due at the next log line
 OnLog = Callable[[Row, Callable[[], Policy]], bool | None]
@@ -54,7 +55,7 @@ def train(
     """Train a policy.
 
     Args:
-        env: an environment (``agym_jax.make``) with one acting agent.
+        env: an environment (``agym_jax.make``) with one acting agent, or a ``StepwiseEnv``.
         config: settings; ``save_dir=None`` writes no files.
         progress: is told what happens; None shows nothing.
         on_log: called as ``on_log(row, policy)`` at each log line, where ``policy()`` makes the
@@ -116,10 +117,13 @@ def train(
             impl=str(getattr(env, "impl", config.impl)),
         )
 
+    worlds: Any = None
+    run: Any = None
     if first_steps < total_steps:
         # A resumed run gets fresh episodes, and other ones than the run before it began with.
         key_worlds = jax.random.fold_in(key_worlds, first_steps)
-        worlds, run = _compile(venv, config, arch, learner, key_worlds)
+        begin = start_stepwise if isinstance(venv, StepwiseEnv) else _compile
+        worlds, run = begin(venv, config, arch, learner, key_worlds)
     else:
         progress.say("This run is complete; raise --num-env-steps to go on.")
     compile_seconds = time.perf_counter() - start

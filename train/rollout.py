@@ -83,6 +83,73 @@ def zero_totals(env_state: Any) -> dict[str, jax.Array]:
     return {name: jnp.zeros((), jnp.float32) for name in names}
 
 
+def account(
+    worlds: Worlds,
+    totals: dict[str, jax.Array],
+    raw_action: jax.Array,
+    log_prob: jax.Array,
+    after: Any,
+    gamma: float,
+    reward_scaling: float,
+) -> tuple[Worlds, dict[str, jax.Array], Batch]:
+    """Take note of one step of all worlds.
+
+    Args:
+        worlds: before the step.
+        totals: from ``zero_totals`` or an earlier step.
+        raw_action: of the step    (B, action).
+        log_prob: of the action    (B,).
+        after: state of the environment after the step.
+        gamma: discount, for the running discounted return.
+        reward_scaling: factor on the reward.
+
+    Returns:
+        Worlds and totals after the step, and what it leaves for learning    (B, ...).
+    """
+    before, done, metrics = worlds.env_state, after.done, after.metrics
+    zero = jnp.zeros_like(after.reward)
+    reward = reward_scaling * after.reward
+    discounted = gamma * worlds.discounted + reward
+    episode_return = worlds.episode_return + after.reward
+    episode_force = worlds.episode_force + metrics.get(FORCE_KEY, zero)
+    length = worlds.episode_length + 1
+    ended = done * worlds.counted
+    gains = {
+        "episode/episodes": ended,
+        "episode/return": ended * episode_return,
+        "episode/return_squared": ended * episode_return**2,
+        "episode/success": ended * metrics.get("success", zero),
+        "episode/force": ended * episode_force / length,
+        "episode/length": ended * length,
+        "step/reward": after.reward,
+        "step/nan": metrics.get("nan", zero),
+        "step/overflow": metrics.get("overflow", zero),
+    }
+    gains |= {f"step/{name}": value for name, value in metrics.items() if "/" in name}
+    totals = {name: total + jnp.sum(gains[name]) for name, total in totals.items()}
+    going_on = 1 - done
+    batch = Batch(
+        obs=before.obs,
+        raw_action=raw_action,
+        log_prob=log_prob,
+        reward=reward,
+        discounted=discounted,
+        done=done,
+        truncation=after.info["truncation"],
+        terminal_obs=after.info["terminal_obs"],
+    )
+    worlds = replace(
+        worlds,
+        env_state=strong_types(after),
+        discounted=discounted * going_on,
+        episode_return=episode_return * going_on,
+        episode_force=episode_force * going_on,
+        episode_length=length * going_on,
+        counted=jnp.maximum(worlds.counted, done),
+    )
+    return worlds, totals, batch
+
+
 def collect(
     networks: Any,
     venv: Any,
@@ -118,47 +185,7 @@ def collect(
             networks, learner.normalizer, learner.params.policy, before.obs, key
         )
         after = venv.step(before, action)
-        done, metrics = after.done, after.metrics
-        zero = jnp.zeros_like(after.reward)
-        reward = reward_scaling * after.reward
-        discounted = gamma * worlds.discounted + reward
-        episode_return = worlds.episode_return + after.reward
-        episode_force = worlds.episode_force + metrics.get(FORCE_KEY, zero)
-        length = worlds.episode_length + 1
-        ended = done * worlds.counted
-        gains = {
-            "episode/episodes": ended,
-            "episode/return": ended * episode_return,
-            "episode/return_squared": ended * episode_return**2,
-            "episode/success": ended * metrics.get("success", zero),
-            "episode/force": ended * episode_force / length,
-            "episode/length": ended * length,
-            "step/reward": after.reward,
-            "step/nan": metrics.get("nan", zero),
-            "step/overflow": metrics.get("overflow", zero),
-        }
-        gains |= {f"step/{name}": value for name, value in metrics.items() if "/" in name}
-        totals = {name: total + jnp.sum(gains[name]) for name, total in totals.items()}
-        going_on = 1 - done
-        batch = Batch(
-            obs=before.obs,
-            raw_action=raw,
-            log_prob=log_prob,
-            reward=reward,
-            discounted=discounted,
-            done=done,
-            truncation=after.info["truncation"],
-            terminal_obs=after.info["terminal_obs"],
-        )
-        worlds = replace(
-            worlds,
-            env_state=strong_types(after),
-            discounted=discounted * going_on,
-            episode_return=episode_return * going_on,
-            episode_force=episode_force * going_on,
-            episode_length=length * going_on,
-            counted=jnp.maximum(worlds.counted, done),
-        )
+        worlds, totals, batch = account(worlds, totals, raw, log_prob, after, gamma, reward_scaling)
         return (worlds, totals), batch
 
     start = (worlds, zero_totals(worlds.env_state))

@@ -167,7 +167,10 @@ def shape(link: str, d: Dims) -> Shape:
         "hand": Shape("", d.hand_r, zero, (zero, zero, -d.hand_r)),
         "neck": Shape("z", d.neck_r, d.neck_l, (zero, zero, d.neck_centre)),
         "head": Shape(
-            "z", d.head_r, d.head_high - d.head_low, (zero, d.head_y, (d.head_low + d.head_high) / 2)
+            "z",
+            d.head_r,
+            d.head_high - d.head_low,
+            (zero, d.head_y, (d.head_low + d.head_high) / 2),
         ),
         "waist": Shape("x", d.waist_r, d.waist_l, middle),
         "hips": Shape("x", d.hips_r, d.hips_l, (zero, zero, -d.pelvis_z)),

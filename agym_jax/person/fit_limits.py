@@ -16,6 +16,7 @@ import hashlib
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -181,13 +182,14 @@ def main() -> None:
     print(f"  |shoulder x| < {WRAP_HALF_WIDTH}: {right[near].mean():.5f} of {near.sum()}")
     print(f"  elsewhere: {right[~near].mean():.5f}")
 
-    arrays = {"center": limits.center, "half_range": limits.half_range}
+    arrays: dict[str, Any] = {"center": limits.center, "half_range": limits.half_range}
     for i, (kernel, bias) in enumerate(zip(limits.kernels, limits.biases, strict=True)):
         arrays |= {f"kernel_{i}": kernel, f"bias_{i}": bias}
     args.out.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {name: np.asarray(value, np.float32) for name, value in arrays.items()}
     np.savez(
         args.out,
-        **{name: np.asarray(value, np.float32) for name, value in arrays.items()},
+        **arrays,
         seed=args.seed,
         n_samples=len(angles),
         n_fitted=len(fitted),

@@ -37,6 +37,7 @@ def build(
         visual: add the geoms that people look at (group 2).
     """
     spec = mujoco.MjSpec()
+    spec.compiler.degree = False
     bodies = {"": spec.worldbody}
     n_free = 0
     for i, link in enumerate(LINKS):

@@ -1,0 +1,1 @@
+"""Bridges to other libraries' interfaces; nothing in the package depends on them."""

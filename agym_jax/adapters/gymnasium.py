@@ -1,0 +1,214 @@
+"""Every environment as a ``gymnasium.Env``: one world, NumPy in and out, a fresh person each episode.
+
+    import agym_jax, gymnasium
+    env = gymnasium.make("ScratchItchJaco-v0", render_mode="rgb_array")
+
+Training belongs on ``agym_jax.wrappers.vectorize``, which steps thousands of worlds at once; this is
+for looking, for scripts, and for code that knows only gymnasium.
+
+DEVIATION(gymnasium-bounds): the observation space is unbounded; AG declares [-1, 1], which its
+observations exceed.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import gymnasium
+import jax
+import numpy as np
+from gymnasium import spaces
+
+import agym_jax
+from agym_jax.errors import ActionError, AgymError, did_you_mean
+from agym_jax.person.draw import People
+from agym_jax.render import Marker, Renderer
+
+RENDER_MODES = ("rgb_array",)
+
+
+class RenderModeError(AgymError, ValueError):
+    """A way to render that the environment does not have, or was not made with."""
+
+
+class _Programs(NamedTuple):
+    """An environment and its compiled functions, shared by all instances of an id."""
+
+    env: agym_jax.Env
+    reset: Any
+    step: Any
+
+
+@cache
+def _programs(env_id: str, impl: str, people: People | None) -> _Programs:
+    env = agym_jax.make(env_id, impl=impl, people=people)
+    return _Programs(env, jax.jit(env.reset), jax.jit(env.step))
+
+
+class GymnasiumEnv(gymnasium.Env):
+    """One world of an environment.
+
+    Episodes are truncated after 200 steps, as all of Assistive Gym's are; they terminate only when
+    the physics fails. ``info`` has Assistive Gym's keys and the reward's terms.
+
+    Args:
+        env_id: as in ``agym_jax.list_envs()``.
+        render_mode: ``"rgb_array"``, or None for no pictures.
+        impl: physics, see ``agym_jax.make``.
+        people: the population, see ``agym_jax.make``.
+        width: of pictures [pixels].
+        height: of pictures [pixels].
+        camera: name or number of the camera.
+
+    Raises:
+        UnknownNameError: there is no such id.
+        RenderModeError: there is no such render mode.
+    """
+
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
+
+    def __init__(
+        self,
+        env_id: str,
+        render_mode: str | None = None,
+        impl: str = "auto",
+        people: People | None = None,
+        width: int = 480,
+        height: int = 360,
+        camera: str | int = "front",
+    ):
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise RenderModeError(
+                f"{env_id} has no render mode {render_mode!r}. {did_you_mean(render_mode, RENDER_MODES)}"
+            )
+        self._programs = _programs(env_id, impl, people)
+        self.render_mode = render_mode
+        self._view = (width, height, camera)
+        env = self._programs.env
+        self.action_space = spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
+        self.observation_space = spaces.Box(-np.inf, np.inf, (env.observation_size,), np.float32)
+        self._lengths = {
+            f"{kind}_{agent}_len": sizes.get(part, 0)
+            for kind, sizes in (("obs", env.observation_sizes), ("action", env.action_sizes))
+            for agent, part in (("robot", "robot"), ("human", "person"))
+        }
+        self._state: Any = None
+        self._over = True
+        self._pictures: tuple[Renderer, Any, Any] | None = None
+
+    @property
+    def core(self) -> agym_jax.Env:
+        """The pure environment underneath."""
+        return self._programs.env
+
+    @property
+    def state(self) -> agym_jax.State:
+        """The world as it is now.
+
+        Raises:
+            gymnasium.error.ResetNeeded: there is none yet.
+        """
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded(f"{self.core.name} has no state before reset().")
+        return self._state
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode: another person, goal and start.
+
+        Args:
+            seed: of this episode and, through the generator, of those that follow.
+            options: none are known.
+        """
+        super().reset(seed=seed)
+        if options:
+            raise AgymError(f"{self.core.name} knows no reset options, got: {', '.join(options)}.")
+        key = jax.random.PRNGKey(int(self.np_random.integers(2**31)))
+        self._state = self._programs.reset(key)
+        self._over = False
+        self._forget_pictures()  # they show the person before
+        return np.array(self._state.obs), self._info(jax.device_get(self._state.metrics))
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """One control step of 0.1 s.
+
+        Args:
+            action: in [-1, 1]: robot's joints, then the active person's.
+
+        Raises:
+            ActionError: the action has another shape, or NaN or infinite entries.
+            gymnasium.error.ResetNeeded: the episode has not begun, or is over.
+        """
+        action = self._checked(action)
+        if self._over:
+            raise gymnasium.error.ResetNeeded(
+                f"{self.core.name}: call reset() to begin an episode."
+            )
+        self._state = self._programs.step(self._state, action)
+        s = self._state
+        obs, reward, done, metrics = jax.device_get((s.obs, s.reward, s.done, s.metrics))
+        terminated = bool(metrics["nan"] > 0)
+        truncated = bool(done > 0) and not terminated
+        self._over = terminated or truncated
+        return np.array(obs), float(reward), terminated, truncated, self._info(metrics)
+
+    def render(self) -> np.ndarray | None:
+        """A picture, uint8 (height, width, 3), or None if made without a render mode."""
+        if self.render_mode is None:
+            spec_id = self.spec.id if self.spec else self.core.name
+            gymnasium.logger.warn(
+                f'{spec_id}.render() needs gymnasium.make("{spec_id}", render_mode="rgb_array").'
+            )
+            return None
+        state = jax.device_get(self.state)
+        if self._pictures is None:
+            model, data = self.core.to_mujoco(state)
+            width, height, camera = self._view
+            self._pictures = Renderer(model, width, height, camera), model, data
+        renderer, model, data = self._pictures
+        self.core.write_mujoco(state, data, model)
+        return renderer.render(data, [Marker(*marker) for marker in self.core.markers(state)])
+
+    def close(self) -> None:
+        """Free the renderer; the compiled programs stay for other instances."""
+        self._forget_pictures()
+
+    def _forget_pictures(self) -> None:
+        if self._pictures is not None:
+            self._pictures[0].close()
+            self._pictures = None
+
+    def _checked(self, action: Any) -> np.ndarray:
+        shape = self.action_space.shape
+        array = np.asarray(action, np.float32)
+        if array.shape != shape:
+            raise ActionError(
+                f"{self.core.name} takes actions of shape {shape}, got {array.shape}."
+            )
+        if not np.isfinite(array).all():
+            raise ActionError(
+                f"{self.core.name} takes finite actions of shape {shape}, got NaN or infinity: {array}."
+            )
+        return array
+
+    def _info(self, metrics: dict[str, np.ndarray]) -> dict[str, Any]:
+        return {
+            "total_force_on_human": float(metrics["force/on_person"]),
+            "task_success": int(metrics["success"] > 0),
+            "reward_terms": {
+                name.removeprefix("reward/"): float(value)
+                for name, value in metrics.items()
+                if name.startswith("reward/")
+            },
+            **self._lengths,
+        }
+
+
+def register_envs() -> None:
+    """Make every id known to gymnasium; again after tasks or robots were added, as often as you like."""
+    agym_jax.register_envs()
+
+
+__all__ = ["GymnasiumEnv", "RenderModeError", "register_envs"]

@@ -1,0 +1,132 @@
+"""Does the physics ever break? A hundred million random steps: NaN, lost contacts, force peaks.
+
+python -m benchmarks.nan --impl warp --num-envs 16384
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from agym_jax.errors import AgymError
+from benchmarks.rollout import CHUNK, first_state, make_worlds, random_steps, zero_totals
+from train.configs import Count
+from train.record import append_record, record
+
+FORCES = ("force/on_person", "force/tool")
+LOWEST, DECADES, PER_DECADE = 1e-3, 8, 400  # bins of 0.6 % from 1 mN on
+BINS = DECADES * PER_DECADE
+
+
+@dataclass(frozen=True)
+class NanConfig:
+    """Flags of ``python -m benchmarks.nan``."""
+
+    env_name: str = "ScratchItchJaco-v0"
+    """Environment id."""
+    impl: str = "auto"
+    """Physics: "jax", "warp", "auto"."""
+    num_envs: Count = 16_384
+    """Worlds side by side."""
+    num_steps: Count = 100_000_000
+    """Steps in all, rounded up."""
+    seed: int = 0
+    """Of worlds and actions."""
+    json: Path | None = None
+    """File to which the result is added as a JSON line."""
+
+
+def bin_of(force: jax.Array) -> jax.Array:
+    """Bin of a force [N]; 0 is everything below ``LOWEST``, the last everything above."""
+    place = jnp.log10(jnp.maximum(force, LOWEST) / LOWEST) * PER_DECADE
+    return jnp.clip(place, 0, BINS - 1).astype(jnp.int32)
+
+
+def force_of_bin(number: int) -> float:
+    """Upper end of a bin [N]."""
+    return LOWEST * 10 ** ((number + 1) / PER_DECADE)
+
+
+def percentile(counts: np.ndarray, share: float) -> float:
+    """Force [N] below which a share of all steps lies, to the width of a bin; 0 in the first."""
+    number = int(np.searchsorted(np.cumsum(counts), share * counts.sum()))
+    return 0.0 if number == 0 else force_of_bin(number)
+
+
+def add_forces(totals: dict[str, jax.Array], state: Any) -> dict[str, jax.Array]:
+    """Maximum and histogram of each force."""
+    out = dict(totals)
+    for name in FORCES:
+        force = state.metrics[name]
+        out[f"{name}/max"] = jnp.maximum(out[f"{name}/max"], jnp.max(force))
+        out[f"{name}/counts"] = out[f"{name}/counts"].at[bin_of(force)].add(1)
+    return out
+
+
+def search(config: NanConfig) -> dict[str, Any]:
+    """Run all steps; returns the fields of the result line."""
+    jax.config.update("jax_default_matmul_precision", "highest")
+    key, key_reset = jax.random.split(jax.random.PRNGKey(config.seed))
+    venv = make_worlds(config.env_name, config.impl, config.num_envs)
+    state = jax.jit(lambda key: first_state(venv, key))(key_reset)
+    empty = {f"{name}/max": jnp.zeros(()) for name in FORCES}
+    empty |= {f"{name}/counts": jnp.zeros(BINS, jnp.int32) for name in FORCES}
+    empty |= zero_totals()
+    run = jax.jit(random_steps(venv, add_forces)).lower(state, key, empty).compile()
+    chunks = math.ceil(config.num_steps / (CHUNK * config.num_envs))
+    sums: dict[str, Any] = {}
+    start = said = time.perf_counter()
+    for chunk in range(chunks):
+        state, totals = run(state, jax.random.fold_in(key, chunk), empty)
+        for name, value in jax.device_get(totals).items():
+            new = np.asarray(value, np.int64 if np.issubdtype(value.dtype, np.integer) else None)
+            old = sums.get(name, np.zeros_like(new))
+            sums[name] = np.maximum(old, new) if name.endswith("/max") else old + new
+        if time.perf_counter() - said > 10:
+            said = time.perf_counter()
+            print(f"{(chunk + 1) / chunks:4.0%}  NaN {sums['nan']}", file=sys.stderr, flush=True)
+    seconds = time.perf_counter() - start
+    forces = {}
+    for name in FORCES:
+        forces[f"{name}/max"] = float(sums[f"{name}/max"])
+        forces[f"{name}/p99.99"] = percentile(sums[f"{name}/counts"], 0.9999)
+    return {
+        "env": config.env_name,
+        "impl": venv.impl,
+        "num_envs": config.num_envs,
+        "total_steps": chunks * CHUNK * config.num_envs,
+        "seed": config.seed,
+        "nan": int(sums["nan"]),
+        "overflow": int(sums["overflow"]),
+        "episodes": int(sums["episodes"]),
+        "seconds": round(seconds, 1),
+        **forces,
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status, 1 if contacts were lost."""
+    config = tyro.cli(NanConfig, prog="python -m benchmarks.nan", args=arguments)
+    try:
+        fields = search(config)
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    print("\n".join(f"{name:<24} {value}" for name, value in fields.items()))
+    if config.json:
+        append_record(config.json, record("nan", **fields))
+    return 1 if fields["overflow"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

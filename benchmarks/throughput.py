@@ -1,0 +1,156 @@
+"""Control steps per second of the whole environment under random actions, resets included.
+
+    python -m benchmarks.throughput --impl jax warp --num-envs 1024 4096 16384
+
+Every configuration runs in a process of its own, without JAX's compilation cache: compile time and
+memory are its own. The worlds are staggered, so some episode ends and resets in every step. NaN
+worlds are counted; a lost contact (overflow) makes the run fail.
+"""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import tyro
+
+from agym_jax.errors import AgymError
+from benchmarks.rollout import (
+    CHUNK,
+    first_state,
+    make_worlds,
+    peak_memory_mb,
+    random_steps,
+    zero_totals,
+)
+from train.record import append_record, record
+
+
+@dataclass(frozen=True)
+class ThroughputConfig:
+    """Flags of ``python -m benchmarks.throughput``."""
+
+    env_name: tuple[str, ...] = ("ScratchItchJaco-v0",)
+    """Environment ids."""
+    impl: tuple[str, ...] = ("auto",)
+    """Physics: "jax", "warp", "auto"."""
+    num_envs: tuple[int, ...] = (1024, 4096, 16384)
+    """Worlds side by side."""
+    steps: int = 500
+    """Steps of every world in one measurement, rounded up to whole chunks."""
+    repeats: int = 5
+    """Measurements; the median counts."""
+    seed: int = 0
+    """Of worlds and actions."""
+    json: Path | None = None
+    """File to which each result is added as a JSON line."""
+
+
+def measure(
+    env_name: str, impl: str, num_envs: int, steps: int, repeats: int, seed: int
+) -> dict[str, Any]:
+    """One configuration in this process.
+
+    Args:
+        env_name: environment id.
+        impl: physics.
+        num_envs: worlds.
+        steps: of every world in one measurement.
+        repeats: measurements.
+        seed: of worlds and actions.
+
+    Returns:
+        Fields of the result line.
+    """
+    jax.config.update("jax_default_matmul_precision", "highest")
+    jax.config.update("jax_enable_compilation_cache", False)
+    key, key_reset = jax.random.split(jax.random.PRNGKey(seed))
+    chunks = -(-steps // CHUNK)
+    start = time.perf_counter()
+    venv = make_worlds(env_name, impl, num_envs)
+    begin = jax.jit(lambda key: first_state(venv, key)).lower(key_reset).compile()
+    state, totals = begin(key_reset), zero_totals()
+    run = jax.jit(random_steps(venv)).lower(state, key, totals).compile()
+    compiled = time.perf_counter()
+    state, totals = jax.block_until_ready(run(state, key, totals))  # Warp loads its kernels here
+    warm = time.perf_counter()
+    speeds = []
+    for repeat in range(repeats):
+        began = time.perf_counter()
+        for chunk in range(chunks):
+            key_chunk = jax.random.fold_in(key, 1 + repeat * chunks + chunk)
+            state, totals = run(state, key_chunk, totals)
+        jax.block_until_ready((state, totals))
+        speeds.append(chunks * CHUNK * num_envs / (time.perf_counter() - began))
+    total_steps = (repeats * chunks + 1) * CHUNK * num_envs
+    return {
+        "env": env_name,
+        "impl": venv.impl,
+        "num_envs": num_envs,
+        "steps": chunks * CHUNK,
+        "repeats": repeats,
+        "seed": seed,
+        "compile_seconds": round(compiled - start, 2),
+        "first_call_seconds": round(warm - compiled, 2),
+        "steps_per_second": round(statistics.median(speeds)),
+        "steps_per_second_min": round(min(speeds)),
+        "steps_per_second_max": round(max(speeds)),
+        "nan": int(totals["nan"]),
+        "overflow": int(totals["overflow"]),
+        "episodes": int(totals["episodes"]),
+        "reward_per_step": float(totals["reward"]) / total_steps,
+        "peak_memory_mb": peak_memory_mb(),
+    }
+
+
+def shown(line: dict[str, Any]) -> str:
+    """The result for people."""
+    memory = line["peak_memory_mb"]
+    return (
+        f"{line['env']} {line['impl']:<4} {line['num_envs']:>6} worlds: "
+        f"{line['steps_per_second']:>9,} steps/s "
+        f"({line['steps_per_second_min']:,} to {line['steps_per_second_max']:,} in "
+        f"{line['repeats']}), compiled in {line['compile_seconds']:.0f} s, first call "
+        f"{line['first_call_seconds']:.1f} s, NaN {line['nan']}, overflow {line['overflow']}"
+        + (f", {memory:,.0f} MB" if memory else "")
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status, 1 if a configuration failed."""
+    c = tyro.cli(ThroughputConfig, prog="python -m benchmarks.throughput", args=arguments)
+    wanted = [(e, i, n) for e in c.env_name for i in c.impl for n in c.num_envs]
+    if len(wanted) == 1:
+        try:
+            fields = measure(*wanted[0], c.steps, c.repeats, c.seed)
+        except AgymError as error:
+            print(f"{type(error).__name__}: {error}", file=sys.stderr)
+            return 2
+        print(shown(fields), flush=True)
+        if c.json:
+            append_record(c.json, record("throughput", **fields))
+        if fields["overflow"]:
+            print("Failed: contacts were lost; this speed does not count.", file=sys.stderr)
+        return 1 if fields["overflow"] else 0
+    failed = 0
+    for env_name, impl, num_envs in wanted:
+        command = [sys.executable, "-m", "benchmarks.throughput", "--env-name", env_name]
+        command += ["--impl", impl, "--num-envs", str(num_envs), "--steps", str(c.steps)]
+        command += ["--repeats", str(c.repeats), "--seed", str(c.seed)]
+        command += ["--json", str(c.json)] if c.json else []
+        status = subprocess.run(command).returncode
+        if status:
+            print(f"{env_name} {impl} {num_envs}: exit status {status}", file=sys.stderr)
+        failed += status != 0
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

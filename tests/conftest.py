@@ -1,0 +1,94 @@
+"""Compiled environments, once a session: each costs most of a minute of a cold run."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pytest
+
+import agym_jax
+from agym_jax.wrappers import VectorEnv, vectorize
+
+BATCH = 8
+STATIC, ACTIVE = "ScratchItchJaco-v0", "ScratchItchJacoHuman-v0"
+
+
+class Worlds(NamedTuple):
+    """A batch of worlds, its compiled functions, and how often Python has run each."""
+
+    env: VectorEnv
+    reset: Any
+    step: Any
+    traces: dict[str, int]
+
+
+class Rollout(NamedTuple):
+    """What a random policy saw: NumPy, time first."""
+
+    first: Any  # state after reset
+    last: Any  # state at the end
+    actions: np.ndarray  # (T, B, A)
+    obs: np.ndarray  # (T + 1, B, O)
+    reward: np.ndarray  # (T, B)
+    metrics: dict[str, np.ndarray]  # (T, B)
+
+
+def _compiled(name: str) -> Worlds:
+    env = vectorize(agym_jax.make(name, impl="jax"), BATCH)
+    traces = {"reset": 0, "step": 0}
+
+    def reset(key: jax.Array) -> Any:
+        traces["reset"] += 1  # a Python side effect happens when JAX traces, and only then
+        return env.reset(key)
+
+    def step(state: Any, action: jax.Array) -> Any:
+        traces["step"] += 1
+        return env.step(state, action)
+
+    return Worlds(env, jax.jit(reset), jax.jit(step), traces)
+
+
+@pytest.fixture(scope="session")
+def worlds() -> Worlds:
+    """Eight worlds of a person who does not act."""
+    return _compiled(STATIC)
+
+
+@pytest.fixture(scope="session")
+def rollout(worlds: Worlds) -> Rollout:
+    """Thirty random steps."""
+    actions = np.random.default_rng(0).uniform(-1, 1, (30, BATCH, worlds.env.action_size))
+    return roll(worlds, 0, actions.astype(np.float32))
+
+
+def roll(worlds: Worlds, seed: int, actions: np.ndarray) -> Rollout:
+    """Play given actions from a seed."""
+    state = first = worlds.reset(jax.random.PRNGKey(seed))
+    seen = []
+    for action in actions:
+        state = worlds.step(state, action)
+        seen.append(jax.device_get((state.info["terminal_obs"], state.reward, state.metrics)))
+    obs, reward, metrics = jax.tree.map(lambda *x: np.stack(x), *seen)
+    obs = np.concatenate([np.asarray(first.obs)[None], obs])
+    return Rollout(first, state, actions, obs, reward, metrics)
+
+
+@pytest.fixture(scope="session")
+def static_env() -> agym_jax.Env:
+    """The environment of one world, not compiled."""
+    return agym_jax.make(STATIC, impl="jax")
+
+
+@pytest.fixture(scope="session")
+def active_env() -> agym_jax.Env:
+    """The same with a person who acts."""
+    return agym_jax.make(ACTIVE, impl="jax")
+
+
+@pytest.fixture
+def raycast(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw without OpenGL."""
+    monkeypatch.setitem(os.environ, "AGYM_JAX_RENDER", "raycast")

@@ -1,0 +1,31 @@
+# ruff: noqa: D103
+"""The parts of the benchmarks that need no environment."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from benchmarks import nan, throughput
+
+
+def test_percentile_of_a_histogram_is_right_to_a_bin():
+    rng = np.random.default_rng(0)
+    forces = np.where(rng.random(200_000) < 0.5, 0.0, rng.exponential(8.0, 200_000))
+    counts = np.bincount(np.asarray(nan.bin_of(jnp.asarray(forces))), minlength=nan.BINS)
+    assert counts.sum() == len(forces)
+    for share in (0.9, 0.999, 0.9999):
+        assert nan.percentile(counts, share) == pytest.approx(np.quantile(forces, share), rel=0.01)
+    assert nan.percentile(counts, 0.4) == 0.0
+
+
+def test_forces_beyond_the_histogram_are_kept_in_its_ends():
+    bins = np.asarray(nan.bin_of(jnp.array([0.0, 1e-9, 1e12, jnp.inf])))
+    assert bins.tolist() == [0, 0, nan.BINS - 1, nan.BINS - 1]
+
+
+def test_throughput_of_an_unknown_environment_says_what_exists(capsys):
+    status = throughput.main(["--env-name", "ScratchItchJacko-v0", "--num-envs", "4"])
+    assert status == 2
+    assert "Did you mean 'ScratchItchJaco-v0'" in capsys.readouterr().err

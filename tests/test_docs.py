@@ -1,0 +1,184 @@
+# ruff: noqa: D103
+"""What the repository says about itself: generated pages, commands, names, no machine's secrets."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import json
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import agym_jax
+from benchmarks import deviations, tables
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text()
+RESULT = {
+    "env": "ScratchItchJaco-v0",
+    "impl": "warp",
+    "num_envs": 4096,
+    "steps_per_second": 1234567,
+    "steps_per_second_min": 1200000,
+    "steps_per_second_max": 1300000,
+    "compile_seconds": 2.0,
+    "first_call_seconds": 40.0,
+    "nan": 0,
+    "overflow": 0,
+    "device": {"kind": "Some GPU", "cpu_cores": 2},
+    "commit": "0123456789abcdef",
+}
+
+
+def repository_files() -> list[Path]:
+    """What git would publish; without git, every text file of the known folders."""
+    command = ["git", "-C", str(ROOT), "ls-files", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(command, capture_output=True, text=True)
+    if listed.returncode == 0:
+        return [ROOT / name for name in listed.stdout.splitlines() if (ROOT / name).is_file()]
+    folders = ("agym_jax", "train", "benchmarks", "tests", "docs", ".ci", "assets")
+    found = [p for folder in folders for p in (ROOT / folder).rglob("*") if p.is_file()]
+    top = [p for p in ROOT.iterdir() if p.is_file()]
+    return [p for p in found + top if "__pycache__" not in p.parts]
+
+
+def sources(*folders: str) -> list[Path]:
+    return sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
+
+
+def commands(text: str) -> list[str]:
+    """Shell lines of the fenced blocks."""
+    blocks = re.findall(r"```bash\n(.*?)```", text, re.S)
+    return [line for block in blocks for line in block.splitlines() if line.strip()]
+
+
+def test_readme_tables_are_up_to_date():
+    assert tables.fill(README) == README, "run: python -m benchmarks.tables"
+
+
+def test_list_of_deviations_is_up_to_date():
+    wanted = deviations.page(deviations.collect())
+    assert deviations.OUTPUT.read_text() == wanted, "run: python -m benchmarks.deviations"
+
+
+def test_first_command_of_the_readme_comes_early_and_helps_a_person():
+    line = README.splitlines().index(commands(README)[0]) + 1
+    assert line <= 20
+    assert "train.demo" in commands(README)[0]
+    assert len(README.splitlines()) <= 150
+
+
+@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
+def test_commands_in_the_documents_exist(name):
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    text = (ROOT / name).read_text()
+    modules = re.findall(r"python -m ([a-z_.]+)", text)
+    assert modules
+    for module in modules:
+        known = module in ("venv", "pytest") or importlib.util.find_spec(module.rstrip("."))
+        assert known, f"python -m {module}"
+    for group in re.findall(r"\[([a-z,]+)\]\"", text):
+        assert set(group.split(",")) <= set(extras["optional-dependencies"]), group
+    for path in re.findall(r"\]\(([^)#:]+)\)", text):
+        in_images = path.startswith("docs/images/")  # drawn from a trained policy
+        assert in_images or (ROOT / path).exists(), path
+
+
+def test_environments_in_the_readme_exist():
+    named = set(re.findall(r"\b[A-Z]\w+-v\d+\b", README))
+    assert named and named <= set(agym_jax.list_envs())
+
+
+def test_ci_runs_the_readmes_test_command():
+    """The script takes the command from the README, so a reader's and CI's are the same."""
+    script = (ROOT / ".ci" / "run").read_text()
+    pattern = re.search(r"grep -m1 '(.+)' README\.md", script)
+    assert pattern
+    found = [line for line in commands(README) if re.match(pattern[1], line)]
+    assert len(found) == 1 and found[0].endswith("-m pytest")
+    assert found[0].count(" && ") == 2
+
+
+def test_no_file_names_a_registry_or_a_machine():
+    machine = "|".join((r"/wo" + r"rk/", r"/ro" + r"ot/", r"/ho" + r"me/", r"/opt/py" + r"pi"))
+    hosts = "|".join(
+        ("files.python" + "hosted", "pypi" + r"\.org", "index-" + "url", "--hash" + "=")
+    )
+    forbidden = re.compile(f"({machine}|{hosts})")
+    found = []
+    for path in repository_files():
+        try:
+            text = path.read_text()
+        except UnicodeDecodeError:
+            continue
+        found += [f"{path.relative_to(ROOT)}: {m[0]}" for m in forbidden.finditer(text)]
+    assert not found
+
+
+def test_constraints_are_names_and_versions():
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    assert lines and all(re.fullmatch(r"[A-Za-z0-9_.-]+==[0-9][\w.]*", line) for line in lines)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    wanted = project["dependencies"] + extras["train"] + extras["test"] + extras["lint"]
+    pinned = {line.split("==")[0].lower().replace("_", "-") for line in lines}
+    for requirement in wanted:
+        name = re.match(r"[\w.-]+", requirement)
+        assert name and name[0].lower().replace("_", "-") in pinned, requirement
+
+
+def test_every_public_name_has_a_docstring():
+    """Names in ``__all__``, and every public function and class of the package and the tools."""
+    missing = []
+    for path in sources("agym_jax", "train", "benchmarks"):
+        tree = ast.parse(path.read_text())
+        if not ast.get_docstring(tree):
+            missing.append(str(path.relative_to(ROOT)))
+        kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+        for node in tree.body:
+            public = isinstance(node, kinds) and not node.name.startswith("_")
+            if public and not ast.get_docstring(node):
+                missing.append(f"{path.relative_to(ROOT)}: {node.name}")
+    assert not missing
+    for name in agym_jax.__all__:
+        assert getattr(agym_jax, name).__doc__, name
+
+
+def test_notes_end_where_they_end():
+    text = '''"""What it does.
+
+DEVIATION(one-thing): it differs
+in two lines.
+DEVIATION(other-thing): differs too."""
+
+# DEVIATION(in-comment): also
+# here.
+x = 1
+'''
+    found = {note.slug: note.text for note in deviations.notes_in(text, "x.py")}
+    assert found == {
+        "one-thing": "it differs in two lines.",
+        "other-thing": "differs too.",
+        "in-comment": "also here.",
+    }
+    with pytest.raises(deviations.DeviationError, match="no reason"):
+        deviations.notes_in("# DEVIATION(empty):\n", "x.py")
+
+
+def test_a_table_shows_the_newest_result_and_leaves_out_lost_contacts(tmp_path):
+    old, lost = RESULT | {"steps_per_second": 1}, RESULT | {"num_envs": 8, "overflow": 3}
+    lines = "\n".join(json.dumps(line) for line in (old, RESULT, lost))
+    (tmp_path / "throughput.jsonl").write_text(lines)
+    text = "a\n<!-- table:throughput -->\nold\n<!-- /table:throughput -->\nb"
+    filled = tables.fill(text, tmp_path)
+    assert "**1,234,567** (1,200,000 to 1,300,000)" in filled and "| 42 s |" in filled
+    assert "old" not in filled and "| 8 |" not in filled and "01234567." in filled
+    assert tables.fill(filled, tmp_path) == filled
+    with pytest.raises(tables.TableError, match="Unknown table"):
+        tables.fill("<!-- table:speed -->", tmp_path)
+    with pytest.raises(tables.TableError, match="not followed"):
+        tables.fill("<!-- table:nan -->", tmp_path)

@@ -1,0 +1,308 @@
+# ruff: noqa: D103
+"""The environment as a whole: what reset draws, what step keeps, how episodes end."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.envs.wrappers import training as brax_wrappers
+
+import agym_jax
+from agym_jax import observe
+from agym_jax.env import choose_impl
+from agym_jax.errors import ActionError, ImplementationError
+from agym_jax.wrappers import vectorize
+from conftest import BATCH, STATIC, Rollout, Worlds, roll
+
+jit = pytest.mark.jit
+
+
+def _differ(values: Any) -> bool:
+    """Whether all rows differ."""
+    return len(np.unique(np.asarray(values), axis=0)) == len(values)
+
+
+def _set(state: Any, name: str, **changes: Any) -> Any:
+    """A state with some fields of its task or episode changed, dtypes kept."""
+    old = getattr(state, name)
+    same = {k: jnp.asarray(v, getattr(old, k).dtype) for k, v in changes.items()}
+    return state.replace(**{name: dataclasses.replace(old, **same)})
+
+
+# -- shapes, without compiling -----------------------------------------------------------------
+
+
+def _avals(tree: Any) -> list:
+    leaves = jax.tree.leaves_with_path(tree)
+    return [(jax.tree_util.keystr(p), x.shape, x.dtype, x.weak_type) for p, x in leaves]
+
+
+@pytest.mark.parametrize("name", agym_jax.list_envs())
+def test_step_returns_exactly_what_reset_returns(name: str, worlds: Worlds):
+    if name == STATIC:  # traced for the tests below anyway
+        env, reset, step = worlds.env, worlds.reset, worlds.step
+    else:
+        env = vectorize(agym_jax.make(name, impl="jax"), BATCH)
+        reset, step = env.reset, env.step
+    first = jax.eval_shape(reset, jax.random.PRNGKey(0))
+    action = jax.ShapeDtypeStruct((BATCH, env.action_size), jnp.float32)
+    second = jax.eval_shape(step, first, action)
+    assert jax.tree.structure(first) == jax.tree.structure(second)
+    assert _avals(first) == _avals(second)
+    assert not [path for path, *_, weak in _avals(first) if weak]
+    assert first.obs.shape == (BATCH, env.observation_size)
+    floats = [(p, d) for p, _, d, _ in _avals(first) if jnp.issubdtype(d, jnp.floating)]
+    assert {d for _, d in floats} == {jnp.dtype("float32")}
+
+
+def test_brax_wrappers_accept_the_environment(static_env):
+    env = brax_wrappers.EpisodeWrapper(brax_wrappers.VmapWrapper(static_env), 200, 1)
+    first = jax.eval_shape(env.reset, jax.random.split(jax.random.PRNGKey(0), 3))
+    assert first.obs.shape == (3, 30) and first.info["steps"].shape == (3,)
+    after = jax.eval_shape(env.step, first, jax.ShapeDtypeStruct((3, env.action_size), jnp.float32))
+    assert jax.tree.structure(first) == jax.tree.structure(after)
+    assert after.info["truncation"].shape == (3,)
+
+
+# -- refusals ----------------------------------------------------------------------------------
+
+
+def test_actions_of_another_shape_are_refused(static_env, active_env):
+    with pytest.raises(ActionError, match=r"ScratchItchJaco-v0 takes .*\(7,\) \(7 robot\), got \(6,\)"):
+        static_env.step(None, np.zeros(6))
+    with pytest.raises(ActionError, match=r"\(17,\) \(7 robot \+ 10 person\), got \(7,\)"):
+        active_env.step(None, np.zeros(7))
+    with pytest.raises(ActionError, match=r"got \(4, 7\).*vectorize"):
+        static_env.step(None, np.zeros((4, 7)))
+    with pytest.raises(ActionError, match=r"batch of 2 takes actions of shape \(2, 7\), got \(7,\)"):
+        vectorize(static_env, 2).step(None, np.zeros(7))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_actions_that_are_not_finite_are_refused_outside_of_jit(bad: float, static_env):
+    with pytest.raises(ActionError, match="NaN or infinity"):
+        static_env.step(None, np.array([0, 0, bad, 0, 0, 0, 0]))
+
+
+def test_unknown_implementation_is_refused():
+    with pytest.raises(ImplementationError, match=r"'warps'.*Did you mean 'warp'"):
+        agym_jax.make(STATIC, impl="warps")
+    assert choose_impl("jax") == "jax"
+
+
+# -- compiled ----------------------------------------------------------------------------------
+
+
+@jit
+def test_same_seed_same_trajectory_bit_for_bit(worlds: Worlds, rollout: Rollout):
+    again = roll(worlds, 0, rollout.actions[:12])
+    np.testing.assert_array_equal(again.obs, rollout.obs[:13])
+    np.testing.assert_array_equal(again.reward, rollout.reward[:12])
+    for name, values in again.metrics.items():
+        np.testing.assert_array_equal(values, rollout.metrics[name][:12], err_msg=name)
+
+
+@jit
+def test_one_trace_serves_every_state(worlds: Worlds, rollout: Rollout):
+    # a weak type or a changed shape in step's result would make the second call trace again
+    assert worlds.traces == {"reset": 1, "step": 1}
+
+
+@jit
+def test_worlds_of_a_batch_are_different_people_targets_and_starts(rollout: Rollout):
+    first = rollout.first
+    person = first.episode.person
+    assert set(np.asarray(person.sex)) == {0.0, 1.0}
+    impaired = [person.limit_scale < 1, person.strength < 1, (person.tremor != 0).any(-1)]
+    assert 0 < np.sum(impaired) < BATCH
+    assert _differ(first.episode.placement.arm_angles)
+    assert _differ(first.task.target_limb)
+    assert _differ(first.key)
+    assert 0 < np.sum(np.asarray(first.task.on_forearm)) < BATCH
+
+
+@jit
+def test_another_seed_is_another_batch(worlds: Worlds, rollout: Rollout):
+    other = worlds.reset(jax.random.PRNGKey(1))
+    assert not np.array_equal(other.episode.person.sex, rollout.first.episode.person.sex)
+    assert _differ(np.concatenate([other.task.target_limb, rollout.first.task.target_limb]))
+    assert _differ(np.concatenate([other.obs, rollout.first.obs]))
+
+
+@jit
+def test_no_observation_entry_is_constant(worlds: Worlds, rollout: Rollout):
+    names = [
+        f"{name}[{i}]"
+        for name, c in observe.columns(worlds.env.task.robot_obs).items()
+        for i in range(c.size)
+    ]
+    spread = rollout.obs.reshape(-1, len(names)).std(0)
+    # a random policy seldom touches anything; test_parity.py sees this entry at work
+    may_be_constant = {"tool_force[0]"}
+    constant = {n for n, s in zip(names, spread, strict=True) if s < 1e-6}
+    assert constant <= may_be_constant, constant
+    assert np.isfinite(rollout.obs).all()
+
+
+@jit
+def test_observed_differences_fit_together(worlds: Worlds, rollout: Rollout):
+    where = observe.layout(worlds.env.task.robot_obs)
+    part = {name: rollout.obs[..., where[name]] for name in where}
+    np.testing.assert_allclose(
+        part["tool_pos_target"], part["tool_pos_torso"] - part["target_pos_torso"], atol=1e-5
+    )
+    np.testing.assert_allclose(np.linalg.norm(part["tool_quat_w"], axis=-1), 1.0, atol=1e-5)
+    # limbs keep their length: 0.279 m for a man, 0.264 m for a woman (humans.md section 2)
+    length = np.linalg.norm(part["shoulder_pos_torso"] - part["elbow_pos_torso"], axis=-1)
+    sex = np.asarray(rollout.first.episode.person.sex)
+    np.testing.assert_allclose(length, np.broadcast_to(0.279 - 0.015 * sex, length.shape), atol=1e-5)
+    # reset already shows the drawn start
+    np.testing.assert_allclose(
+        part["arm_angles"][0], rollout.first.episode.placement.arm_angles, atol=1e-6
+    )
+
+
+@jit
+def test_reward_is_the_sum_of_its_terms(rollout: Rollout):
+    terms = {k: v for k, v in rollout.metrics.items() if k.startswith("reward/")}
+    assert {"reward/distance", "reward/action", "reward/scratch"} <= set(terms)
+    np.testing.assert_allclose(rollout.reward, sum(terms.values()), atol=1e-5)
+    action = -0.01 * np.sum(rollout.actions**2, axis=-1)  # config.ini action_weight
+    np.testing.assert_allclose(terms["reward/action"], action, rtol=1e-5)
+
+
+@jit
+def test_robot_moves_towards_the_joint_target(worlds: Worlds, rollout: Rollout):
+    # tasks.md section 1.5: a full action moves a free joint 0.0566 rad in a control step
+    state = worlds.step(rollout.first, np.ones((BATCH, 7), np.float32))
+    moved = state.data.qpos - rollout.first.data.qpos
+    moved = np.asarray(moved)[:, worlds.env.scene.index.robot_qpos]
+    np.testing.assert_allclose(moved[:, -1], 0.0566, atol=5e-4)  # the wrist carries next to nothing
+    # the others have 1 N m to accelerate the arm, and feel each other's reaction
+    assert (moved > -0.01).all() and (moved < 0.0566 + 5e-4).all()
+    assert (moved.mean(-1) > 0.015).all()
+
+
+@jit
+def test_actions_beyond_the_box_act_as_its_border(worlds: Worlds, rollout: Rollout):
+    one, many = (worlds.step(rollout.first, np.full((BATCH, 7), x, np.float32)) for x in (1.0, 7.0))
+    np.testing.assert_array_equal(one.obs, many.obs)
+    np.testing.assert_array_equal(one.reward, many.reward)  # deviation action-penalty
+
+
+@jit
+def test_action_with_nan_acts_as_zero_under_jit(worlds: Worlds, rollout: Rollout):
+    action = rollout.actions[0].copy()
+    action[:, 2] = 0.0
+    clean = worlds.step(rollout.first, action)
+    action[:, 2] = [np.nan, np.inf, -np.inf, np.nan, 0, 0, 0, np.nan]
+    dirty = worlds.step(rollout.first, action)
+    np.testing.assert_array_equal(clean.obs, dirty.obs)
+    np.testing.assert_array_equal(clean.reward, dirty.reward)
+    assert (dirty.metrics["nan"] == 0).all()
+
+
+@jit
+def test_episodes_end_after_200_steps_and_not_before(worlds: Worlds, rollout: Rollout):
+    state, still = rollout.first, np.zeros((BATCH, 7), np.float32)
+    for i in range(200):  # tasks.md section 1.1
+        assert (np.asarray(state.episode.step) == i).all()
+        state = worlds.step(state, still)
+        assert (np.asarray(state.done) == (i == 199)).all()
+        assert (np.asarray(state.info["truncation"]) == (i == 199)).all()
+    assert (np.asarray(state.episode.step) == 0).all()
+    assert np.isfinite(state.obs).all()
+
+
+@jit
+def test_all_of_a_finished_world_starts_anew_and_the_others_go_on(worlds: Worlds, rollout: Rollout):
+    over = np.arange(BATCH) % 2 == 0
+    state = _set(rollout.last, "episode", step=np.where(over, 199, 50))
+    state = _set(state, "task", scratches=np.full(BATCH, 7.0))
+    state = _set(state, "task", last_scratch_w=np.ones((BATCH, 3)))
+    action = rollout.actions[0]
+    after = worlds.step(state, action)
+    np.testing.assert_array_equal(after.done, over)
+    np.testing.assert_array_equal(after.info["truncation"], over)
+    # what goes on is as if nobody had finished
+    alone = worlds.step(_set(state, "episode", step=np.full(BATCH, 50)), action)
+    same = lambda a, b: np.testing.assert_array_equal(np.asarray(a)[~over], np.asarray(b)[~over])  # noqa: E731
+    for name in ("obs", "reward", "metrics", "task", "episode", "key"):
+        jax.tree.map(same, getattr(after, name), getattr(alone, name))
+    same(after.data.qpos, alone.data.qpos)
+    np.testing.assert_array_equal(after.episode.step, np.where(over, 0, 51))
+    np.testing.assert_array_equal(after.task.scratches, np.where(over, 0.0, alone.task.scratches))
+    # the last observation and reward of the old episode are kept (tremor knows even from odd steps)
+    np.testing.assert_array_equal(after.info["terminal_obs"][~over], after.obs[~over])
+    assert (np.abs(after.info["terminal_obs"] - after.obs)[over].max(-1) > 1e-3).all()
+    np.testing.assert_allclose(after.info["terminal_obs"], alone.info["terminal_obs"], atol=2e-2)
+    # and everything else is new
+    for name, old, new in (
+        ("target", state.task.target_limb, after.task.target_limb),
+        ("start", state.episode.placement.arm_angles, after.episode.placement.arm_angles),
+        ("key", state.key, after.key),
+    ):
+        changed = (np.asarray(old) != np.asarray(new)).any(-1)
+        np.testing.assert_array_equal(changed, over, err_msg=name)
+    fresh = np.asarray(after.task.last_scratch_w)[over]
+    np.testing.assert_array_equal(fresh, 0.0)
+    angles = np.asarray(after.data.qpos)[:, worlds.env.scene.index.robot_qpos]
+    np.testing.assert_array_equal(angles[over], np.asarray(after.episode.placement.arm_angles)[over])
+    assert (np.asarray(after.data.qvel)[over] == 0).all()
+    assert (np.abs(np.asarray(after.data.qvel)[~over]).max(-1) > 0).all()
+
+
+@jit
+def test_people_change_from_episode_to_episode(worlds: Worlds, rollout: Rollout):
+    state, seen = rollout.first, []
+    for _ in range(6):
+        state = worlds.step(_set(state, "episode", step=np.full(BATCH, 199)), rollout.actions[0])
+        p = state.episode.person
+        seen.append(np.stack([p.sex, p.strength, p.limit_scale, p.tremor[:, 0]], -1))
+    seen = np.array(seen)  # (episodes, worlds, traits)
+    assert all(len(np.unique(seen[:, i], axis=0)) > 1 for i in range(BATCH))
+    # the body follows: the upper arm is as long as this person's, not the last one's
+    data, index = state.data, worlds.env.scene.index
+    length = np.linalg.norm(
+        data.xpos[:, index.upper_arm_body] - data.xpos[:, index.forearm_body], axis=-1
+    )
+    np.testing.assert_allclose(length, 0.279 - 0.015 * np.asarray(state.episode.person.sex), atol=1e-5)
+
+
+@jit
+def test_world_that_breaks_ends_its_episode_and_recovers(worlds: Worlds, rollout: Rollout):
+    sick, action = 3, rollout.actions[0]
+    healthy = np.arange(BATCH) != sick
+    data = rollout.first.data
+    broken = rollout.first.replace(data=data.replace(qpos=data.qpos.at[sick, 5].set(jnp.nan)))
+    after, clean = worlds.step(broken, action), worlds.step(rollout.first, action)
+    np.testing.assert_array_equal(after.done, ~healthy)
+    np.testing.assert_array_equal(after.metrics["nan"], ~healthy)
+    np.testing.assert_array_equal(after.info["truncation"], 0.0)  # it did not end by its length
+    assert after.reward[sick] == 0.0
+    np.testing.assert_array_equal(after.reward[healthy], clean.reward[healthy])
+    np.testing.assert_array_equal(after.obs[healthy], clean.obs[healthy])
+    state = after
+    for step in range(4):
+        for x in (state.obs, state.reward, state.info["terminal_obs"], *state.metrics.values()):
+            assert np.isfinite(x).all(), step
+        assert np.isfinite(state.data.qpos).all() and np.isfinite(state.data.qvel).all()
+        jax.tree.map(lambda x: np.testing.assert_(np.isfinite(x).all()), (state.task, state.episode))
+        state = worlds.step(state, action)
+        assert (np.asarray(state.done) == 0).all() and (np.asarray(state.metrics["nan"]) == 0).all()
+    assert state.episode.step[sick] == 4 and state.episode.step[0] == 5
+    assert (np.abs(state.obs[sick]) > 0).sum() > 20
+
+
+@jit
+def test_stagger_spreads_the_clocks(worlds: Worlds, rollout: Rollout):
+    state = worlds.env.stagger(rollout.first, jax.random.PRNGKey(0))
+    steps = np.asarray(state.episode.step)
+    assert steps.dtype == np.int32 and (steps >= 0).all() and (steps < 200).all()
+    assert len(set(steps)) >= BATCH - 1
+    assert jax.tree.structure(state) == jax.tree.structure(rollout.first)

@@ -1,0 +1,191 @@
+# ruff: noqa: D103
+"""The Gymnasium interface, judged by Gymnasium's own checker."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import agym_jax
+from agym_jax.adapters.gymnasium import GymnasiumEnv, RenderModeError, register_envs
+from agym_jax.errors import ActionError, AgymError, UnknownNameError
+
+NAME = "ScratchItchJaco-v0"
+# Gymnasium prefers bounded observations; positions and forces have no bound worth the name
+UNBOUNDED = ("minimum value is -infinity", "maximum value is infinity")
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[gymnasium.Env]:
+    env = gymnasium.make(NAME, render_mode="rgb_array", width=64, height=48)
+    yield env
+    env.close()
+
+
+def test_every_id_is_registered_once_and_again_is_fine():
+    before = dict(gymnasium.registry)
+    register_envs()
+    agym_jax.register_envs()
+    assert dict(gymnasium.registry) == before
+    for name in agym_jax.list_envs():
+        spec = gymnasium.spec(name)
+        assert spec.entry_point == "agym_jax.adapters.gymnasium:GymnasiumEnv"
+        assert spec.kwargs == {"env_id": name}
+        assert spec.max_episode_steps is None  # the environment truncates itself
+
+
+def test_module_prefix_registers_by_importing():
+    code = f"import gymnasium; print(gymnasium.make('agym_jax:{NAME}').unwrapped.core.name)"
+    root = os.path.dirname(os.path.dirname(agym_jax.__file__))
+    path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code],
+        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}, check=False,
+    )  # fmt: skip
+    assert done.stdout.strip() == NAME, done.stderr
+
+
+def test_spaces_are_the_references():
+    # tasks.md section 1.2
+    for name, obs, action in ((NAME, 30, 7), ("ScratchItchJacoHuman-v0", 64, 17)):
+        env = gymnasium.make(name).unwrapped
+        assert env.observation_space == gymnasium.spaces.Box(-np.inf, np.inf, (obs,), np.float32)
+        assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (action,), np.float32)
+    assert GymnasiumEnv.metadata == {"render_modes": ["rgb_array"], "render_fps": 10}
+
+
+def test_instances_share_what_is_compiled():
+    one, two = gymnasium.make(NAME).unwrapped, gymnasium.make(NAME).unwrapped
+    assert one is not two and one._programs is two._programs
+    assert one._programs is not gymnasium.make("ScratchItchJacoHuman-v0").unwrapped._programs
+
+
+def test_there_is_no_state_before_reset():
+    env = GymnasiumEnv(NAME)
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
+        env.step(np.zeros(7))
+    with pytest.raises(gymnasium.error.ResetNeeded, match="no state before"):
+        _ = env.state
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(UnknownNameError, match="Did you mean 'ScratchItchJaco-v0'"):
+        GymnasiumEnv("ScratchItchJako-v0")
+    with pytest.raises(RenderModeError, match=r"no render mode 'rgb'.*'rgb_array'"):
+        GymnasiumEnv(NAME, render_mode="rgb")
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.zeros(6), rf"{NAME} takes actions of shape \(7,\), got \(6,\)"),
+        (np.zeros((1, 7)), r"got \(1, 7\)"),
+        (np.full(7, np.nan), rf"{NAME} takes finite actions of shape \(7,\)"),
+        (np.array([0, 0, 0, np.inf, 0, 0, 0]), "NaN or infinity"),
+    ],
+)
+def test_actions_are_checked(action: np.ndarray, message: str):
+    with pytest.raises(ActionError, match=message):
+        GymnasiumEnv(NAME).step(action)
+
+
+@pytest.mark.jit
+def test_gymnasiums_checker_has_nothing_to_say(env: gymnasium.Env, raycast: None):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped)
+    ours = [str(w.message) for w in caught if not any(u in str(w.message) for u in UNBOUNDED)]
+    assert not ours
+
+
+@pytest.mark.jit
+def test_info_has_assistive_gyms_keys_and_the_rewards_terms(env: gymnasium.Env):
+    _, info = env.reset(seed=0)
+    obs, reward, terminated, truncated, after = env.step(env.action_space.sample())
+    assert set(info) == set(after)
+    lengths = {"obs_robot_len": 30, "obs_human_len": 0, "action_robot_len": 7, "action_human_len": 0}
+    assert {k: after[k] for k in lengths} == lengths
+    assert after["total_force_on_human"] >= 0.0 and after["task_success"] == 0
+    assert sum(after["reward_terms"].values()) == pytest.approx(reward, abs=1e-5)
+    assert after["reward_terms"]["distance"] < 0
+    assert isinstance(reward, float) and terminated is False and truncated is False
+    assert obs.dtype == np.float32 and obs.shape == (30,)
+
+
+@pytest.mark.jit
+def test_seed_decides_the_episode_and_the_ones_after(env: gymnasium.Env):
+    first = [env.reset(seed=5)[0], env.reset()[0], env.reset()[0]]
+    again = [env.reset(seed=5)[0], env.reset()[0], env.reset()[0]]
+    np.testing.assert_array_equal(first, again)
+    assert len(np.unique(first, axis=0)) == 3
+    assert not np.array_equal(env.reset(seed=6)[0], first[0])
+
+
+@pytest.mark.jit
+def test_episode_is_truncated_at_200_steps_and_then_needs_a_reset(env: gymnasium.Env):
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(7, np.float32))[2:4] for _ in range(200)]
+    assert ends == [(False, False)] * 199 + [(False, True)]  # tasks.md section 1.1
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros(7, np.float32))
+    env.reset()
+    assert env.step(np.zeros(7, np.float32))[2:4] == (False, False)
+
+
+@pytest.mark.jit
+def test_broken_physics_terminates(env: gymnasium.Env):
+    env.reset(seed=0)
+    core = env.unwrapped
+    data = core.state.data
+    core._state = core.state.replace(data=data.replace(qpos=data.qpos.at[0].set(np.nan)))
+    obs, reward, terminated, truncated, _ = env.step(np.zeros(7, np.float32))
+    assert (terminated, truncated, reward) == (True, False, 0.0)
+    assert np.isfinite(obs).all()
+
+
+@pytest.mark.jit
+def test_options_are_refused(env: gymnasium.Env):
+    with pytest.raises(AgymError, match="knows no reset options, got: gender"):
+        env.unwrapped.reset(options={"gender": "male"})
+
+
+@pytest.mark.jit
+def test_pictures_show_this_episodes_person_and_what_moves(env: gymnasium.Env, raycast: None):
+    env.reset(seed=0)
+    first = env.render()
+    assert first.shape == (48, 64, 3) and first.dtype == np.uint8
+    assert first.std() > 10 and len(np.unique(first.reshape(-1, 3), axis=0)) > 100
+    np.testing.assert_array_equal(env.render(), first)  # looking changes nothing
+    for _ in range(10):
+        env.step(np.ones(7, np.float32))
+    moved = env.render()
+    assert (np.abs(moved.astype(int) - first).max(-1) > 20).sum() > 10
+    model = env.unwrapped._pictures[1]
+    env.reset(seed=1)
+    env.render()
+    assert env.unwrapped._pictures[1] is not model  # somebody else
+
+
+@pytest.mark.jit
+def test_without_a_render_mode_there_is_a_hint_and_no_picture():
+    env = gymnasium.make(NAME).unwrapped
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match='render_mode="rgb_array"'):
+        assert env.render() is None
+
+
+@pytest.mark.jit
+def test_default_way_to_draw_gives_a_picture(env: gymnasium.Env):
+    env.reset(seed=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # without OpenGL the first picture says so
+        picture = env.render()
+    assert picture.std() > 10

@@ -1,0 +1,141 @@
+# ruff: noqa: D103
+"""Chains against C MuJoCo, and every start pose of the banks."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from agym_jax import kinematics, placement
+from agym_jax.errors import SpecError
+from agym_jax.robots import ROBOTS
+from agym_jax.scene import build_scene
+from agym_jax.tasks import TASKS
+
+TASK, ROBOT = TASKS["ScratchItch"], ROBOTS["Jaco"]
+SCENE = build_scene(TASK, ROBOT)
+INDEX, MODEL = SCENE.index, SCENE.model
+SITE = MODEL.site(f"robot/{SCENE.arm.end_effector}").id
+CHAIN = kinematics.chain_of(MODEL, INDEX.robot_joint, SITE, INDEX.robot_base)
+BASE_POS, BASE_ROT = (
+    MODEL.body_pos[INDEX.robot_base],
+    kinematics.rotation_matrix(MODEL.body_quat[INDEX.robot_base]),
+)
+forward = jax.jit(jax.vmap(lambda q: kinematics.forward(CHAIN, q)))
+
+
+def _angles(n: int, seed: int = 0) -> np.ndarray:
+    low, high = np.maximum(CHAIN.lower, -np.pi), np.minimum(CHAIN.upper, np.pi)
+    return np.random.default_rng(seed).uniform(low, np.where(high > low, high, CHAIN.upper), (n, len(low)))
+
+
+def _c_pose(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, mujoco.MjData]:
+    data = mujoco.MjData(MODEL)
+    data.qpos[INDEX.robot_qpos] = angles
+    mujoco.mj_kinematics(MODEL, data)
+    mujoco.mj_comPos(MODEL, data)
+    pos = BASE_ROT.T @ (data.site_xpos[SITE] - BASE_POS)
+    return pos, BASE_ROT.T @ data.site_xmat[SITE].reshape(3, 3), data
+
+
+def test_forward_and_jacobian_are_c_mujocos():
+    angles = _angles(16)
+    for q, pos, rot, jacobian in zip(angles, *map(np.asarray, forward(angles)), strict=True):
+        c_pos, c_rot, data = _c_pose(q)
+        np.testing.assert_allclose(pos, c_pos, atol=2e-6)  # float32 over seven joints, 1 m
+        np.testing.assert_allclose(rot, c_rot, atol=2e-6)
+        linear, angular = np.zeros((2, 3, MODEL.nv))
+        mujoco.mj_jacSite(MODEL, data, linear, angular, SITE)
+        np.testing.assert_allclose(jacobian[:3], BASE_ROT.T @ linear[:, INDEX.robot_dof], atol=4e-6)
+        np.testing.assert_allclose(jacobian[3:], BASE_ROT.T @ angular[:, INDEX.robot_dof], atol=4e-6)
+
+
+def test_jacobian_is_the_derivative():
+    q, h = _angles(1, seed=1)[0], 1e-4
+    _, _, jacobian = (np.asarray(x[0]) for x in forward(q[None]))
+    for i in range(len(q)):
+        ahead, behind = q.copy(), q.copy()
+        ahead[i], behind[i] = q[i] + h, q[i] - h
+        (p1, r1, _), (p0, r0, _) = _c_pose(ahead), _c_pose(behind)  # C is in float64
+        np.testing.assert_allclose(jacobian[:3, i], (p1 - p0) / (2 * h), atol=1e-5)
+        turn = np.asarray(kinematics.rotation_error(jnp.asarray(r0), jnp.asarray(r1)))
+        # the error is in float32, 6e-8 over 2e-4
+        np.testing.assert_allclose(jacobian[3:, i], turn / (2 * h), atol=2e-3)
+
+
+def test_inverse_reaches_what_can_be_reached():
+    goals = _angles(24, seed=2)
+    pos, rot, _ = forward(goals)
+    starts = jnp.asarray(_angles(12, seed=3), jnp.float32)
+
+    @jax.jit
+    def solve(pos, rot):
+        one = lambda p, r, s: kinematics.inverse(CHAIN, s, p, r)  # noqa: E731
+        return jax.vmap(lambda p, r: jax.vmap(lambda s: one(p, r, s))(starts))(pos, rot)
+
+    angles, distance, turn = (np.asarray(x) for x in solve(pos, rot))
+    reached = (distance < placement.REACHED) & (turn < placement.REACHED_ROTATION)
+    # every goal is some pose's, so 12 beginnings find nearly all of them
+    assert reached.any(1).mean() >= 0.9
+    assert (angles >= CHAIN.lower).all() and (angles <= CHAIN.upper).all()
+    for i, j in zip(*np.nonzero(reached), strict=True):  # and what it claims is true
+        c_pos, c_rot, _ = _c_pose(angles[i, j])
+        assert np.linalg.norm(c_pos - np.asarray(pos[i])) < placement.REACHED + 1e-5
+        cosine = (np.trace(c_rot @ np.asarray(rot[i]).T) - 1) / 2
+        assert np.arccos(np.clip(cosine, -1, 1)) < placement.REACHED_ROTATION + 1e-3
+
+
+def test_inverse_says_when_a_pose_is_out_of_reach():
+    far = jnp.array([3.0, 0.0, 0.0])  # Jaco is 1 m long
+    _, distance, _ = kinematics.inverse(CHAIN, jnp.asarray(_angles(1)[0]), far, jnp.eye(3), steps=5)
+    assert distance > 1.5
+
+
+def test_isotropy_falls_at_a_joint_limit():
+    inside = _angles(1, seed=4)[0]
+    limited = np.flatnonzero(CHAIN.upper - CHAIN.lower < 2 * np.pi - 0.1)
+    at_limit = inside.copy()
+    at_limit[limited] = CHAIN.lower[limited]
+    good, bad = (float(kinematics.isotropy(CHAIN, jnp.asarray(q))) for q in (inside, at_limit))
+    assert 0.0 <= bad < good <= 1.0
+
+
+def test_chain_refuses_a_site_of_something_else():
+    with pytest.raises(SpecError, match="does not hang on body"):
+        kinematics.chain_of(MODEL, INDEX.robot_joint, INDEX.tip_site, INDEX.chest_body)
+    with pytest.raises(SpecError, match="1 joints are not between"):
+        joints = np.append(INDEX.robot_joint, INDEX.person_joint[0])
+        kinematics.chain_of(MODEL, joints, SITE, INDEX.robot_base)
+
+
+def test_every_row_of_the_bank_starts_where_assistive_gym_does():
+    bank = placement.load_bank(TASK, ROBOT)
+    assert len(bank.arm_angles) >= 512
+    # robots.md section 7: Jaco beside the wheelchair
+    np.testing.assert_allclose(bank.base_pos, [[-0.35, -0.3, 0.36]] * len(bank.base_pos), atol=1e-6)
+    assert (bank.arm_angles >= CHAIN.lower - 1e-5).all() and (bank.arm_angles <= CHAIN.upper + 1e-5).all()
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for angles in bank.arm_angles:
+        pos, rot, _ = _c_pose(angles)
+        pos, rot = BASE_POS + BASE_ROT @ pos, BASE_ROT @ rot
+        # tasks.md section 2: (-0.5, 0, 0.8) + U(-0.05, 0.05)^3, Euler (0, pi/2, 0): z along world x
+        assert np.abs(pos - [-0.5, 0.0, 0.8]).max() < 0.05 + placement.REACHED
+        assert np.arccos(min(1.0, rot[0, 2])) < placement.REACHED_ROTATION + 1e-3
+        low, high = np.minimum(low, pos), np.maximum(high, pos)
+    assert (high - low > 0.09).all()  # the box is filled
+
+
+def test_no_row_of_the_bank_touches_anything():
+    pose = [TASK.person.pose.get(j, 0.0) for j in TASK.person.joints]
+    for model in (SCENE.model, SCENE.female):
+        data = mujoco.MjData(model)
+        for angles in placement.load_bank(TASK, ROBOT).arm_angles:
+            data.qpos[INDEX.robot_qpos], data.qpos[INDEX.person_qpos] = angles, pose
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_collision(model, data)
+            names = [model.geom(g).name for c in data.contact for g in c.geom]
+            assert not any(n.startswith(("robot/", "tool/")) for n in names), names

@@ -1,0 +1,114 @@
+# ruff: noqa: D103
+"""Observation records: sizes and order of the reference, and what a layout hash notices."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import Array
+
+from agym_jax import observe
+from agym_jax.errors import SpecError
+from agym_jax.observe import column, observation
+from agym_jax.tasks import TASKS
+
+TASK = TASKS["ScratchItch"]
+# Reference tasks.md section 2: dims and elements, in order.
+ROBOT = {
+    "tool_pos_torso": 3, "tool_quat_w": 4, "tool_pos_target": 3, "target_pos_torso": 3, "arm_angles": 7,
+    "shoulder_pos_torso": 3, "elbow_pos_torso": 3, "wrist_pos_torso": 3, "tool_force": 1,
+}  # fmt: skip
+PERSON = {
+    "tool_pos_person": 3, "tool_quat_w": 4, "tool_pos_target": 3, "target_pos_person": 3,
+    "person_angles": 10, "shoulder_pos_person": 3, "elbow_pos_person": 3, "wrist_pos_person": 3,
+    "force_on_person": 1, "force_at_target": 1,
+}  # fmt: skip
+
+
+@observation
+class Toy:
+    """Two fields."""
+
+    place: Array = column(3, "m", "world", "here")
+    force: Array = column(1, "N", "sum", "there")
+
+
+@pytest.mark.parametrize(
+    ("record", "expected", "total"), [(TASK.robot_obs, ROBOT, 30), (TASK.person_obs, PERSON, 34)]
+)
+def test_layout_is_the_references(record: type, expected: dict, total: int):
+    assert {n: c.size for n, c in observe.columns(record).items()} == expected
+    assert list(observe.columns(record)) == list(expected)  # dicts compare without order
+    assert observe.size(record) == total
+    slices = observe.layout(record)
+    assert slices[list(expected)[-1]].stop == total
+    assert [s.start for s in slices.values()] == list(np.cumsum([0, *expected.values()][:-1]))
+
+
+def test_environments_have_the_references_sizes(static_env, active_env):
+    # tasks.md section 1.2
+    assert (static_env.observation_size, static_env.action_size) == (30, 7)
+    assert (active_env.observation_size, active_env.action_size) == (64, 17)
+    assert active_env.observation_sizes == {"robot": 30, "person": 34}
+    assert active_env.action_sizes == {"robot": 7, "person": 10}
+
+
+def test_flatten_keeps_the_order():
+    flat = observe.flatten(Toy(jnp.array([1.0, 2.0, 3.0]), jnp.float32(4.0)))
+    np.testing.assert_array_equal(flat, [1, 2, 3, 4])
+    assert flat.dtype == jnp.float32
+
+
+def test_flatten_refuses_a_field_of_another_size():
+    with pytest.raises(SpecError, match=r"Toy\.place is declared with 3 entries but has 2"):
+        observe.flatten(Toy(jnp.zeros(2), jnp.float32(0.0)))
+
+
+def test_layout_version_notices_every_change_of_meaning():
+    @observation
+    class Same:
+        place: Array = column(3, "m", "world", "another source")
+        force: Array = column(1, "N", "sum", "there")
+
+    @observation
+    class Renamed:
+        position: Array = column(3, "m", "world", "here")
+        force: Array = column(1, "N", "sum", "there")
+
+    @observation
+    class Swapped:
+        force: Array = column(1, "N", "sum", "there")
+        place: Array = column(3, "m", "world", "here")
+
+    @observation
+    class Reframed:
+        place: Array = column(3, "m", "chest", "here")
+        force: Array = column(1, "N", "sum", "there")
+
+    versions = [observe.layout_version(r) for r in (Toy, Renamed, Swapped, Reframed)]
+    versions.append(observe.layout_version(Toy, Toy))
+    assert len(set(versions)) == 5
+    assert observe.layout_version(Same) == versions[0]  # where it comes from is not what it is
+
+
+def test_static_and_active_layouts_differ(static_env, active_env):
+    assert static_env.layout_version != active_env.layout_version
+
+
+def test_command_line_prints_every_column(capsys: pytest.CaptureFixture):
+    assert observe.main(["ScratchItchJacoHuman-v0"]) == 0
+    out = capsys.readouterr().out
+    for name in (*ROBOT, *PERSON):
+        assert f"`{name}`" in out
+    assert "| 29 | `tool_force` | N |" in out and "| 32 | `force_on_person` |" in out
+    assert "Robot: 30 columns" in out and "Person: 34 columns" in out
+    assert observe.main(["ScratchItchJaco-v0"]) == 0
+    assert "Person" not in capsys.readouterr().out
+
+
+def test_command_line_refuses_nonsense(capsys: pytest.CaptureFixture):
+    assert observe.main([]) == 2
+    assert "usage" in capsys.readouterr().err
+    assert observe.main(["ScratchIchJaco-v0"]) == 1
+    assert "Did you mean 'ScratchItchJaco-v0'" in capsys.readouterr().err

@@ -1,0 +1,222 @@
+# ruff: noqa: D103
+"""MJX against C MuJoCo: the person's model, kinematics, and a robot that presses on an arm.
+
+C MuJoCo gets a scene compiled for each person from scratch, so these tests also judge the fields
+that the environment writes into one shared model.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from conftest import BATCH, Rollout, Worlds
+
+from agym_jax import kinematics
+from agym_jax.person import muscles
+from agym_jax.person.draw import People, draw_person
+from agym_jax.scene import compose
+from agym_jax.sense import add_touch, no_touch, sense
+from agym_jax.spec import Pose
+from agym_jax.state import Episode, Placement
+
+pytestmark = pytest.mark.parity
+APPROACH, PRESS = 12, 16  # control steps
+WATCHED = (0, 2, 4, 7)  # worlds that C MuJoCo follows
+
+# Float32 against float64 over one control step from the same state, in contact. Measured maxima of
+# 64 such steps: 1e-6 rad, 3e-5 rad/s and 5e-5 N at up to 5 N; ten times that is allowed.
+QPOS, QVEL, FORCE = 1e-5, 3e-4, 5e-4  # [rad], [rad/s], [N] or share of the force
+
+
+def _compiled_person(env: Any, episode: Episode) -> mujoco.MjModel:
+    """This person's scene from scratch."""
+    p, place = episode.person, episode.placement
+    base = Pose(tuple(map(float, place.base_pos)), tuple(map(float, place.base_quat)))  # ty: ignore
+    return compose(
+        env.task, env.robot, float(p.sex), float(p.stature), float(p.girth), float(p.limit_scale), base
+    )
+
+
+def _one(tree: Any, i: int) -> Any:
+    return jax.tree.map(lambda x: x[i], tree)
+
+
+# -- the model of one person --------------------------------------------------------------------
+
+FIELDS = (
+    "body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat", "body_inertia", "geom_size",
+    "geom_pos", "geom_quat", "geom_rbound", "jnt_pos", "jnt_axis", "jnt_range", "site_pos", "site_quat",
+    "dof_armature",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def crowd(static_env) -> Episode:
+    """Five people of all sizes and impairments, each with a robot base of its own."""
+    env, n = static_env, 5
+    rng = np.random.default_rng(0)
+    spec = env.task.person
+    person = jax.vmap(
+        lambda k: draw_person(k, People(sizes="continuous"), len(spec.joints), 0.2, spec.impairments)
+    )(jax.random.split(jax.random.PRNGKey(4), n))
+    quat = rng.normal(size=(n, 4))
+    placement = Placement(
+        jnp.asarray(rng.normal(size=(n, 3)), jnp.float32),
+        jnp.asarray(quat / np.linalg.norm(quat, axis=-1, keepdims=True), jnp.float32),
+        jnp.zeros((n, len(env.scene.arm.joints))),
+    )
+    zero = jnp.zeros((n, len(spec.joints)))
+    return Episode(person, placement, zero, zero, jnp.zeros(n, jnp.int32))
+
+
+def test_fields_written_per_person_are_those_of_a_fresh_compilation(static_env, crowd: Episode):
+    for i in range(5):
+        episode = _one(crowd, i)
+        mine, theirs = static_env._model_of(episode), _compiled_person(static_env, episode)
+        for name in FIELDS:
+            a, b = np.asarray(getattr(mine, name)), getattr(theirs, name)
+            if name.endswith("quat"):
+                a = a * np.where(np.sum(a * b, -1, keepdims=True) < 0, -1, 1)
+            np.testing.assert_allclose(a, b, atol=1e-5, err_msg=f"{name}, person {i}")
+        # interpolated between man and woman: right to a share for those between and beyond
+        inertia = np.asarray(mine.dof_invweight0) / theirs.dof_invweight0
+        assert 0.5 < inertia.min() and inertia.max() < 2.0
+
+
+@pytest.mark.jit
+def test_kinematics_of_different_people_are_c_mujocos(worlds: Worlds, rollout: Rollout):
+    state = rollout.last
+    assert 0 < np.sum(np.asarray(state.episode.person.sex)) < BATCH
+    for i in range(BATCH):
+        model = _compiled_person(worlds.env, _one(state.episode, i))
+        c = mujoco.MjData(model)
+        c.qpos[:] = np.asarray(state.data.qpos[i])
+        mujoco.mj_kinematics(model, c)
+        for name in ("xpos", "xmat", "xipos", "geom_xpos", "geom_xmat", "site_xpos", "xanchor", "xaxis"):
+            a, b = np.asarray(getattr(state.data, name)[i]), getattr(c, name)
+            np.testing.assert_allclose(a.reshape(b.shape), b, atol=1e-5, err_msg=f"{name}, person {i}")
+
+
+# -- pressing on an arm -------------------------------------------------------------------------
+
+
+def _press_goals(worlds: Worlds, state: Any) -> np.ndarray:
+    """Joint angles that put the tip of the tool 4 cm behind the limb's axis (B, n_arm)."""
+    env, index = worlds.env, worlds.env.scene.index
+    model = env.scene.model
+    chain = kinematics.chain_of(model, index.robot_joint, index.tip_site, index.robot_base)
+    at = lambda x, i: np.asarray(x[:, i])  # noqa: E731
+    elbow, tip = at(state.data.xpos, index.forearm_body), at(state.data.site_xpos, index.tip_site)
+    hand, shoulder = at(state.data.xpos, index.hand_body), at(state.data.xpos, index.upper_arm_body)
+    on_forearm = (np.arange(BATCH) % 2 == 0)[:, None]
+    point = np.where(on_forearm, 0.5 * elbow + 0.5 * hand, 0.6 * elbow + 0.4 * shoulder)
+    away = point - tip
+    point = point + 0.04 * away / np.linalg.norm(away, axis=-1, keepdims=True)
+    goals = (point - model.body_pos[index.robot_base]) @ kinematics.rotation_matrix(
+        model.body_quat[index.robot_base]
+    )
+
+    def solve(q: jax.Array, goal: jax.Array) -> tuple:
+        _, rot, _ = kinematics.forward(chain, q)
+        return kinematics.inverse(chain, q, goal, rot)
+
+    angles, distance, _ = jax.jit(jax.vmap(solve))(
+        state.episode.placement.arm_angles, jnp.asarray(goals, jnp.float32)
+    )
+    assert np.max(distance) < 1e-3
+    return np.asarray(angles)
+
+
+class _Shadow:
+    """One world in C MuJoCo, set to MJX's state before every control step."""
+
+    def __init__(self, env: Any, episode: Episode):
+        self.env, self.index = env, env.scene.index
+        self.model = _compiled_person(env, episode)
+        mine = env._model_of(episode)
+        # the motors' damping belongs to the episode; invweights are interpolated on purpose
+        for name in ("dof_damping", "body_invweight0", "dof_invweight0"):
+            getattr(self.model, name)[:] = np.asarray(getattr(mine, name))
+        self.data = mujoco.MjData(self.model)
+        moving = muscles.is_moving(episode.person.tremor, env.active)
+        self.torque = jax.jit(
+            lambda target, q, v, load: muscles.torque(
+                env.task.person, target, q, load, episode.person.strength, moving
+            ) + env._limit_torque(q, v)
+        )  # fmt: skip
+
+    def step(self, before: Any, ctrl: np.ndarray) -> Any:
+        """Five physics steps from MJX's state; returns the touch sums."""
+        d, index = self.data, self.index
+        for name in ("qpos", "qvel", "qacc_warmstart", "qfrc_bias"):
+            getattr(d, name)[:] = np.asarray(getattr(before.data, name))
+        d.ctrl[:] = ctrl
+        target, _ = self.env._person_target(before.episode, before.data, jnp.zeros(0))
+        touch, contacts = no_touch(index), 0
+        for _ in range(self.env.task.control.frame_skip):
+            q, v = d.qpos[index.person_qpos], d.qvel[index.person_dof]
+            load = d.qfrc_bias[index.person_dof]
+            d.qfrc_applied[index.person_dof] = self.torque(target, *(jnp.asarray(x, jnp.float32) for x in (q, v, load)))
+            mujoco.mj_step(self.model, d)
+            touch = add_touch(index, touch, jnp.asarray(d.sensordata, jnp.float32))
+            contacts = max(contacts, d.ncon)
+        mujoco.mj_kinematics(self.model, d)
+        return touch, contacts
+
+
+@pytest.mark.jit
+def test_pressing_on_an_arm_is_c_mujocos(worlds: Worlds):
+    env, index = worlds.env, worlds.env.scene.index
+    state = worlds.reset(jax.random.PRNGKey(0))
+    goals = _press_goals(worlds, state)
+    scale = env.task.control.action_scale
+    shadows = {i: _Shadow(env.env, _one(state.episode, i)) for i in WATCHED}
+    worst = {"qpos": 0.0, "qvel": 0.0, "force": 0.0}
+    compared, hardest = 0, 0.0
+    for t in range(APPROACH + PRESS):
+        before = state
+        at = np.asarray(state.data.qpos)[:, index.robot_qpos]
+        state = worlds.step(state, np.clip((goals - at) / scale, -1, 1).astype(np.float32))
+        if t < APPROACH:
+            continue
+        for i, shadow in shadows.items():
+            touch, contacts = shadow.step(_one(before, i), np.asarray(state.data.ctrl[i]))
+            assert contacts <= 8  # scene.MAX_CONTACTS: MJX would leave some out
+            c, mine = shadow.data, _one(state.data, i)
+            assert np.abs(c.qvel).max() > 0
+            force = float(jnp.sum(touch.tool_person) + touch.robot_person) / 5
+            theirs = float(state.metrics["force/on_person"][i])
+            worst["qpos"] = max(worst["qpos"], np.abs(c.qpos - mine.qpos).max())
+            worst["qvel"] = max(worst["qvel"], np.abs(c.qvel - mine.qvel).max())
+            worst["force"] = max(worst["force"], abs(force - theirs) / max(1.0, force))
+            hardest = max(hardest, force)
+            compared += theirs > 0.05
+    print(worst, compared, hardest)
+    assert compared > 0.5 * PRESS * len(WATCHED)  # it was about contact
+    assert worst["qpos"] < QPOS, worst
+    assert worst["qvel"] < QVEL, worst
+    assert worst["force"] < FORCE, worst
+
+
+@pytest.mark.jit
+def test_sense_reads_c_mujocos_data_as_it_reads_mjxs(worlds: Worlds):
+    env, index = worlds.env, worlds.env.scene.index
+    state = worlds.reset(jax.random.PRNGKey(0))
+    world = _one(state, 0)
+    shadow = _Shadow(env.env, world.episode)
+    shadow.data.qpos[:], shadow.data.qvel[:] = np.asarray(world.data.qpos), 0.1
+    mujoco.mj_kinematics(shadow.model, shadow.data)
+    dims = world.episode.person.dims
+    data = world.data.replace(qvel=jnp.full_like(world.data.qvel, 0.1))
+    mine, theirs = (sense(index, d, no_touch(index), 1, dims) for d in (data, shadow.data))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), mine, theirs)
+    # the tip's velocity is the Jacobian's
+    linear = np.zeros((3, shadow.model.nv))
+    mujoco.mj_comPos(shadow.model, shadow.data)
+    mujoco.mj_jacSite(shadow.model, shadow.data, linear, None, index.tip_site)
+    np.testing.assert_allclose(mine.tool_vel_w, linear @ shadow.data.qvel, atol=1e-5)

@@ -1,0 +1,69 @@
+# ruff: noqa: D103
+"""Driven from Python, evaluation and training do what they do inside one program; the demo runs."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+from fake_env import FakeEnv
+
+from train.configs import PPOConfig
+from train.demo import main as demo
+from train.errors import ConfigError
+from train.evaluate import Evaluator, baseline_policy
+from train.ppo import train
+from train.stepwise import StepwiseEnv, evaluate_stepwise
+
+CONFIG = PPOConfig(
+    num_env_steps=1280,
+    num_processes=16,
+    num_mini_batch=4,
+    policy_hidden=(16,),
+    value_hidden=(16,),
+    log_interval=2,
+    save_dir=None,
+)
+
+
+@pytest.fixture(scope="module")
+def stepwise():
+    env = FakeEnv()
+    return env, StepwiseEnv(env.vectorize(16))
+
+
+def test_training_is_the_same_either_way(stepwise):
+    env, venv = stepwise
+    before = dict(env.traces)
+    by_steps = train(venv, CONFIG)
+    assert env.traces == before  # nothing of the environment is compiled again
+    at_once = train(FakeEnv(), CONFIG)
+    assert [row["episodes"] for row in by_steps.curve] == [r["episodes"] for r in at_once.curve]
+    for ours, theirs in zip(by_steps.curve, at_once.curve, strict=True):
+        for name in ("return", "return_per_step", "force", "loss/value_loss", "loss/entropy"):
+            assert ours[name] == pytest.approx(theirs[name], rel=1e-3), name
+
+
+def test_evaluation_is_the_same_either_way(stepwise):
+    env, venv = stepwise
+    seen = []
+    key, policy = jax.random.PRNGKey(3), baseline_policy("random", 2)
+    ours = evaluate_stepwise(venv, policy, key, seen.append)
+    theirs = Evaluator(env, 16)(policy, key)
+    np.testing.assert_allclose(ours.returns, theirs.returns, rtol=1e-4)
+    np.testing.assert_array_equal(ours.successes, theirs.successes)
+    assert len(seen) == env.episode_length + 1
+
+
+def test_another_batch_size_is_refused(stepwise):
+    _, venv = stepwise
+    with pytest.raises(ConfigError, match="compiled for 16 worlds, not 32"):
+        train(venv, dataclasses.replace(CONFIG, num_processes=32))
+
+
+def test_demo_without_a_policy_says_how_to_train_one(tmp_path, capsys):
+    status = demo(["--env-name", "FakeReach-v0", "--out", str(tmp_path)], lambda name, impl: None)
+    assert status == 2
+    assert "python -m train.ppo --env-name FakeReach-v0" in capsys.readouterr().err

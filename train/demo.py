@@ -1,0 +1,204 @@
+"""See it work, on any CPU, in a few minutes: ``python -m train.demo``.
+
+1. The policy that ships with agym_jax helps a batch of people, all at once; table, film, pictures.
+2. A policy is trained from scratch for a minute, and its learning curve is drawn.
+
+The environment is compiled once for both (``train.stepwise``), and never again on this machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import numpy as np
+import tyro
+
+from agym_jax.errors import AgymError
+from train.configs import Count, config_for
+from train.enjoy import Frame, caption, markers
+from train.envs import make_env, vectorize
+from train.evaluate import EvaluationResult, baseline_policy
+from train.npz import check_writable
+from train.policy import find_policy, load_policy
+from train.ppo import OnLog, train
+from train.progress import for_terminal
+from train.result import summary
+from train.rollout import FORCE_KEY
+from train.stepwise import StepwiseEnv, evaluate_stepwise
+
+FILM_SPEED = 4.0  # times real time
+LEARNER_SHARE = 0.25  # of training time on a CPU; an estimate, only the length of the run needs it
+
+
+@dataclass(frozen=True)
+class DemoConfig:
+    """Flags of ``python -m train.demo``."""
+
+    env_name: str = "ScratchItchJaco-v0"
+    """Environment id."""
+    policy: str | None = None
+    """A policy file; without it, the policy shipped with agym_jax."""
+    out: Path = Path("demo")
+    """Folder for film, pictures and learning curve."""
+    people: Count = 64
+    """How many people are helped side by side, and worlds of the training run."""
+    seconds: float = 75.0
+    """How long to train [s]."""
+    film_seconds: float = 25.0
+    """How long drawing the film may take [s]; decides how many frames it has."""
+    seed: int = 1
+    """Seed of people and training."""
+
+
+class Recorder:
+    """Keeps what pictures need of every world at every step."""
+
+    def __init__(self) -> None:
+        self._states: list[Any] = []
+
+    def __call__(self, state: Any) -> None:
+        """Remember the state of all worlds."""
+        data = {name: getattr(state.data, name) for name in ("qpos", "qvel", "ctrl")}
+        kept = {name: getattr(state, name) for name in ("task", "episode", "reward", "metrics")}
+        self._states.append(jax.device_get({"data": data, **kept}))
+
+    def frames(self, world: int) -> Iterator[Frame]:
+        """One world's first episode, but for its last step, after which the next one has begun."""
+        total = 0.0
+        for step, states in enumerate(self._states[:-1]):
+            one = jax.tree.map(lambda leaf: leaf[world], states)
+            total += float(one["reward"])
+            force = float(one["metrics"].get(FORCE_KEY, 0.0)) if step else 0.0
+            success = bool(one["metrics"].get("success", 0.0) > 0.5) if step else False
+            state = SimpleNamespace(**one | {"data": SimpleNamespace(**one["data"])})
+            yield Frame(state, step, total, force, success, False)
+
+
+def make_film(env: Any, frames: Sequence[Frame], out: Path, seconds: float) -> tuple[Path, Path]:
+    """Draw one episode, with as many frames as the time allows.
+
+    Args:
+        env: of the episode.
+        frames: all of it.
+        out: folder.
+        seconds: time for drawing.
+
+    Returns:
+        Film and sheet of pictures.
+    """
+    from agym_jax.clips import contact_sheet, write_clip
+    from agym_jax.render import Renderer
+
+    model, data = env.to_mujoco(frames[0].state)
+    with Renderer(model, 480, 360) as renderer:
+        backend = renderer.backend
+    size = (480, 360) if backend == "gl" else (320, 240)
+    with Renderer(model, *size, backend=backend) as renderer:
+        renderer.render(data, markers(env, frames[0].state))  # the first is slower
+        start = time.perf_counter()
+        renderer.render(data, markers(env, frames[0].state))
+        stride = math.ceil(len(frames) * (time.perf_counter() - start) / seconds)
+        chosen, pictures = frames[:: max(2, stride)], []
+        for frame in chosen:
+            env.write_mujoco(frame.state, data, model)
+            pictures.append(renderer.render(data, markers(env, frame.state)))
+    film = write_clip(pictures, out / "helping.gif", FILM_SPEED / (env.dt * max(2, stride)))
+    labels = [caption(frame) for frame in chosen]
+    every = math.ceil(len(pictures) / 12)
+    return film, contact_sheet(pictures, out / "helping.png", 4, every, labels)
+
+
+def typical(result: EvaluationResult) -> int:
+    """The world with the median return."""
+    return int(np.argsort(result.returns)[len(result.returns) // 2])
+
+
+def until(deadline: float) -> OnLog:
+    """Stops training at a time of ``time.perf_counter``."""
+    return lambda row, policy: time.perf_counter() > deadline
+
+
+def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
+    """Both parts of the demo.
+
+    Raises:
+        PolicyNotFoundError: no policy is shipped for this environment.
+        SaveFolderError: the folder cannot be written to.
+    """
+    began = time.perf_counter()
+
+    def say(text: str) -> None:
+        print(f"[{time.perf_counter() - began:4.0f} s] {text}", flush=True)
+
+    check_writable(config.out, "Choose another with --out.")
+    path = find_policy(config.env_name, None, config.policy)
+    env = make(config.env_name, "jax")
+    policy = load_policy(path, env)
+    say(f"Compiling {env.name} for {config.people} people. About a minute, once on this machine.")
+    venv = StepwiseEnv(vectorize(env, config.people))
+
+    say(f"The trained robot helps {config.people} people, none of whom it has met before.")
+    recorder = Recorder()
+    key = jax.random.PRNGKey(config.seed + 1000)
+    result = evaluate_stepwise(venv, policy, key, recorder)
+    speed = config.people * venv.episode_length / result.seconds
+    random = evaluate_stepwise(venv, baseline_policy("random", venv.action_size), key)
+    print(result.table())
+    print(f"  random actions: return {random.returns.mean():.2f}, success {random.success:.1%}")
+    world = typical(result)
+    say(f"Drawing the episode with the median return ({result.returns[world]:.1f}).")
+    film, sheet = make_film(env, list(recorder.frames(world)), config.out, config.film_seconds)
+
+    steps = int(speed * config.seconds * (1 - LEARNER_SHARE))
+    say(f"Training a robot from scratch for {config.seconds:.0f} s, about {steps:,} steps.")
+    settings = config_for(env.name)
+    batch = config.people * settings.num_steps
+    changes = {
+        "num_env_steps": max(steps, batch),
+        "num_processes": config.people,
+        "save_dir": str(config.out),
+        "seed": config.seed,
+        "lr": 1e-3,  # a short run
+        "log_interval": max(1, round(steps / batch / 25)),
+        "fresh": True,
+    }
+    deadline = time.perf_counter() + config.seconds + 10.0
+    trained = train(
+        venv, dataclasses.replace(settings, **changes), for_terminal(), on_log=until(deadline)
+    )
+    print(summary(trained))
+    returns = [row["return"] for row in trained.curve if row["return"] is not None]
+    if returns:
+        say(f"Return of an episode: {returns[0]:.1f} at the start, {returns[-1]:.1f} at the end.")
+    print(f"Film:           {film}\nPictures:       {sheet}")
+    if trained.folder:
+        print(f"Learning curve: {trained.folder / 'curve.png'}")
+    say("Done.")
+
+
+def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
+    """The command line; returns the exit status."""
+    config = tyro.cli(DemoConfig, prog="python -m train.demo", args=arguments)
+    jax.config.update("jax_platforms", "cpu")
+    jax.config.update("jax_default_matmul_precision", "highest")
+    try:
+        run(config, make)
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

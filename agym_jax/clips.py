@@ -11,6 +11,7 @@ import importlib
 import math
 import os
 import tempfile
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -106,7 +107,10 @@ def write_clip(frames: Sequence[np.ndarray], path: str | os.PathLike[str], fps: 
     writer = ffmpeg.write_frames(
         str(path), (width + width % 2, height + height % 2), fps=fps, quality=8, macro_block_size=2
     )
-    writer.send(None)
+    with warnings.catch_warnings():
+        # JAX warns of forks among its threads, but this one turns into ffmpeg at once.
+        warnings.filterwarnings("ignore", r"os\.fork", RuntimeWarning)
+        writer.send(None)
     with contextlib.closing(writer):
         for frame in frames:
             writer.send(np.ascontiguousarray(np.pad(frame, pad, mode="edge")))

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from brax.envs.wrappers import training as brax_wrappers
+from conftest import BATCH, STATIC, Rollout, Worlds, roll
 
 import agym_jax
 from agym_jax import observe
 from agym_jax.env import choose_impl
 from agym_jax.errors import ActionError, ImplementationError
 from agym_jax.wrappers import vectorize
-from conftest import BATCH, STATIC, Rollout, Worlds, roll
 
 jit = pytest.mark.jit
 
@@ -73,13 +73,17 @@ def test_brax_wrappers_accept_the_environment(static_env):
 
 
 def test_actions_of_another_shape_are_refused(static_env, active_env):
-    with pytest.raises(ActionError, match=r"ScratchItchJaco-v0 takes .*\(7,\) \(7 robot\), got \(6,\)"):
+    with pytest.raises(
+        ActionError, match=r"ScratchItchJaco-v0 takes .*\(7,\) \(7 robot\), got \(6,\)"
+    ):
         static_env.step(None, np.zeros(6))
     with pytest.raises(ActionError, match=r"\(17,\) \(7 robot \+ 10 person\), got \(7,\)"):
         active_env.step(None, np.zeros(7))
     with pytest.raises(ActionError, match=r"got \(4, 7\).*vectorize"):
         static_env.step(None, np.zeros((4, 7)))
-    with pytest.raises(ActionError, match=r"batch of 2 takes actions of shape \(2, 7\), got \(7,\)"):
+    with pytest.raises(
+        ActionError, match=r"batch of 2 takes actions of shape \(2, 7\), got \(7,\)"
+    ):
         vectorize(static_env, 2).step(None, np.zeros(7))
 
 
@@ -160,7 +164,9 @@ def test_observed_differences_fit_together(worlds: Worlds, rollout: Rollout):
     # limbs keep their length: 0.279 m for a man, 0.264 m for a woman (humans.md section 2)
     length = np.linalg.norm(part["shoulder_pos_torso"] - part["elbow_pos_torso"], axis=-1)
     sex = np.asarray(rollout.first.episode.person.sex)
-    np.testing.assert_allclose(length, np.broadcast_to(0.279 - 0.015 * sex, length.shape), atol=1e-5)
+    np.testing.assert_allclose(
+        length, np.broadcast_to(0.279 - 0.015 * sex, length.shape), atol=1e-5
+    )
     # reset already shows the drawn start
     np.testing.assert_allclose(
         part["arm_angles"][0], rollout.first.episode.placement.arm_angles, atol=1e-6
@@ -252,7 +258,9 @@ def test_all_of_a_finished_world_starts_anew_and_the_others_go_on(worlds: Worlds
     fresh = np.asarray(after.task.last_scratch_w)[over]
     np.testing.assert_array_equal(fresh, 0.0)
     angles = np.asarray(after.data.qpos)[:, worlds.env.scene.index.robot_qpos]
-    np.testing.assert_array_equal(angles[over], np.asarray(after.episode.placement.arm_angles)[over])
+    np.testing.assert_array_equal(
+        angles[over], np.asarray(after.episode.placement.arm_angles)[over]
+    )
     assert (np.asarray(after.data.qvel)[over] == 0).all()
     assert (np.abs(np.asarray(after.data.qvel)[~over]).max(-1) > 0).all()
 
@@ -271,7 +279,9 @@ def test_people_change_from_episode_to_episode(worlds: Worlds, rollout: Rollout)
     length = np.linalg.norm(
         data.xpos[:, index.upper_arm_body] - data.xpos[:, index.forearm_body], axis=-1
     )
-    np.testing.assert_allclose(length, 0.279 - 0.015 * np.asarray(state.episode.person.sex), atol=1e-5)
+    np.testing.assert_allclose(
+        length, 0.279 - 0.015 * np.asarray(state.episode.person.sex), atol=1e-5
+    )
 
 
 @jit
@@ -292,7 +302,9 @@ def test_world_that_breaks_ends_its_episode_and_recovers(worlds: Worlds, rollout
         for x in (state.obs, state.reward, state.info["terminal_obs"], *state.metrics.values()):
             assert np.isfinite(x).all(), step
         assert np.isfinite(state.data.qpos).all() and np.isfinite(state.data.qvel).all()
-        jax.tree.map(lambda x: np.testing.assert_(np.isfinite(x).all()), (state.task, state.episode))
+        jax.tree.map(
+            lambda x: np.testing.assert_(np.isfinite(x).all()), (state.task, state.episode)
+        )
         state = worlds.step(state, action)
         assert (np.asarray(state.done) == 0).all() and (np.asarray(state.metrics["nan"]) == 0).all()
     assert state.episode.step[sick] == 4 and state.episode.step[0] == 5

@@ -111,7 +111,12 @@ def test_info_has_assistive_gyms_keys_and_the_rewards_terms(env: gymnasium.Env):
     _, info = env.reset(seed=0)
     obs, reward, terminated, truncated, after = env.step(env.action_space.sample())
     assert set(info) == set(after)
-    lengths = {"obs_robot_len": 30, "obs_human_len": 0, "action_robot_len": 7, "action_human_len": 0}
+    lengths = {
+        "obs_robot_len": 30,
+        "obs_human_len": 0,
+        "action_robot_len": 7,
+        "action_human_len": 0,
+    }
     assert {k: after[k] for k in lengths} == lengths
     assert after["total_force_on_human"] >= 0.0 and after["task_success"] == 0
     assert sum(after["reward_terms"].values()) == pytest.approx(reward, abs=1e-5)

@@ -29,7 +29,9 @@ forward = jax.jit(jax.vmap(lambda q: kinematics.forward(CHAIN, q)))
 
 def _angles(n: int, seed: int = 0) -> np.ndarray:
     low, high = np.maximum(CHAIN.lower, -np.pi), np.minimum(CHAIN.upper, np.pi)
-    return np.random.default_rng(seed).uniform(low, np.where(high > low, high, CHAIN.upper), (n, len(low)))
+    return np.random.default_rng(seed).uniform(
+        low, np.where(high > low, high, CHAIN.upper), (n, len(low))
+    )
 
 
 def _c_pose(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, mujoco.MjData]:
@@ -50,7 +52,9 @@ def test_forward_and_jacobian_are_c_mujocos():
         linear, angular = np.zeros((2, 3, MODEL.nv))
         mujoco.mj_jacSite(MODEL, data, linear, angular, SITE)
         np.testing.assert_allclose(jacobian[:3], BASE_ROT.T @ linear[:, INDEX.robot_dof], atol=4e-6)
-        np.testing.assert_allclose(jacobian[3:], BASE_ROT.T @ angular[:, INDEX.robot_dof], atol=4e-6)
+        np.testing.assert_allclose(
+            jacobian[3:], BASE_ROT.T @ angular[:, INDEX.robot_dof], atol=4e-6
+        )
 
 
 def test_jacobian_is_the_derivative():
@@ -116,7 +120,9 @@ def test_every_row_of_the_bank_starts_where_assistive_gym_does():
     assert len(bank.arm_angles) >= 512
     # robots.md section 7: Jaco beside the wheelchair
     np.testing.assert_allclose(bank.base_pos, [[-0.35, -0.3, 0.36]] * len(bank.base_pos), atol=1e-6)
-    assert (bank.arm_angles >= CHAIN.lower - 1e-5).all() and (bank.arm_angles <= CHAIN.upper + 1e-5).all()
+    assert (bank.arm_angles >= CHAIN.lower - 1e-5).all() and (
+        bank.arm_angles <= CHAIN.upper + 1e-5
+    ).all()
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for angles in bank.arm_angles:
         pos, rot, _ = _c_pose(angles)

@@ -9,13 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import BATCH
 from mujoco import mjx
 from mujoco.mjx._src import math as mjx_math
 
 from agym_jax import mjx_patch
-from conftest import BATCH
 
-onlycpu = pytest.mark.skipif(jax.default_backend() != "cpu", reason="the patch acts on the CPU only")
+onlycpu = pytest.mark.skipif(
+    jax.default_backend() != "cpu", reason="the patch acts on the CPU only"
+)
 
 
 def test_mjx_uses_the_patched_product():
@@ -36,7 +38,10 @@ def test_values_are_the_originals():
 def test_the_barrier_is_in_what_is_compiled():
     text = jax.jit(mjx_math.quat_mul).lower(jnp.ones(4), jnp.ones(4)).as_text()
     assert "optimization_barrier" in text
-    assert "optimization_barrier" not in jax.jit(mjx_patch._original).lower(jnp.ones(4), jnp.ones(4)).as_text()
+    assert (
+        "optimization_barrier"
+        not in jax.jit(mjx_patch._original).lower(jnp.ones(4), jnp.ones(4)).as_text()
+    )
 
 
 @onlycpu

@@ -22,7 +22,9 @@ GIRDLE = np.array(["clavicle" in name for name in SPEC.joints])  # deviation gir
 def _torque(target, angle, load, strength=1.0, moving=False) -> np.ndarray:
     full = lambda x: jnp.full(N, x, jnp.float32)  # noqa: E731
     return np.asarray(
-        muscles.torque(SPEC, full(target), full(angle), full(load), jnp.float32(strength), jnp.bool_(moving))
+        muscles.torque(
+            SPEC, full(target), full(angle), full(load), jnp.float32(strength), jnp.bool_(moving)
+        )
     )
 
 
@@ -62,7 +64,9 @@ def test_damping_grows_with_strength_and_never_vanishes():
         weak, strong = (float(muscles.damping(SPEC, jnp.float32(s), how)) for s in (0.25, 1.0))
         assert 0 < weak < strong
     # a still person is the stiffer damper: hold_rate is a fifth of move_rate
-    assert muscles.damping(SPEC, jnp.float32(1.0), still) > muscles.damping(SPEC, jnp.float32(1.0), moving)
+    assert muscles.damping(SPEC, jnp.float32(1.0), still) > muscles.damping(
+        SPEC, jnp.float32(1.0), moving
+    )
 
 
 def _episode(tremor: float, step: int) -> Episode:

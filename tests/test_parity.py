@@ -29,7 +29,7 @@ APPROACH, PRESS = 12, 16  # control steps
 WATCHED = (0, 2, 4, 7)  # worlds that C MuJoCo follows
 
 # Float32 against float64 over one control step from the same state, in contact. Measured maxima of
-# 64 such steps: 1e-6 rad, 3e-5 rad/s and 5e-5 N at up to 5 N; ten times that is allowed.
+# 64 such steps: 1e-6 rad, 3e-5 rad/s and 5e-5 N at up to 2 N; ten times that is allowed.
 QPOS, QVEL, FORCE = 1e-5, 3e-4, 5e-4  # [rad], [rad/s], [N] or share of the force
 
 
@@ -38,7 +38,13 @@ def _compiled_person(env: Any, episode: Episode) -> mujoco.MjModel:
     p, place = episode.person, episode.placement
     base = Pose(tuple(map(float, place.base_pos)), tuple(map(float, place.base_quat)))  # ty: ignore
     return compose(
-        env.task, env.robot, float(p.sex), float(p.stature), float(p.girth), float(p.limit_scale), base
+        env.task,
+        env.robot,
+        float(p.sex),
+        float(p.stature),
+        float(p.girth),
+        float(p.limit_scale),
+        base,
     )
 
 
@@ -62,7 +68,9 @@ def crowd(static_env) -> Episode:
     rng = np.random.default_rng(0)
     spec = env.task.person
     person = jax.vmap(
-        lambda k: draw_person(k, People(sizes="continuous"), len(spec.joints), 0.2, spec.impairments)
+        lambda k: draw_person(
+            k, People(sizes="continuous"), len(spec.joints), 0.2, spec.impairments
+        )
     )(jax.random.split(jax.random.PRNGKey(4), n))
     quat = rng.normal(size=(n, 4))
     placement = Placement(
@@ -85,7 +93,7 @@ def test_fields_written_per_person_are_those_of_a_fresh_compilation(static_env, 
             np.testing.assert_allclose(a, b, atol=1e-5, err_msg=f"{name}, person {i}")
         # interpolated between man and woman: right to a share for those between and beyond
         inertia = np.asarray(mine.dof_invweight0) / theirs.dof_invweight0
-        assert 0.5 < inertia.min() and inertia.max() < 2.0
+        assert inertia.min() > 0.5 and inertia.max() < 2.0
 
 
 @pytest.mark.jit
@@ -97,9 +105,20 @@ def test_kinematics_of_different_people_are_c_mujocos(worlds: Worlds, rollout: R
         c = mujoco.MjData(model)
         c.qpos[:] = np.asarray(state.data.qpos[i])
         mujoco.mj_kinematics(model, c)
-        for name in ("xpos", "xmat", "xipos", "geom_xpos", "geom_xmat", "site_xpos", "xanchor", "xaxis"):
+        for name in (
+            "xpos",
+            "xmat",
+            "xipos",
+            "geom_xpos",
+            "geom_xmat",
+            "site_xpos",
+            "xanchor",
+            "xaxis",
+        ):
             a, b = np.asarray(getattr(state.data, name)[i]), getattr(c, name)
-            np.testing.assert_allclose(a.reshape(b.shape), b, atol=1e-5, err_msg=f"{name}, person {i}")
+            np.testing.assert_allclose(
+                a.reshape(b.shape), b, atol=1e-5, err_msg=f"{name}, person {i}"
+            )
 
 
 # -- pressing on an arm -------------------------------------------------------------------------
@@ -161,7 +180,9 @@ class _Shadow:
         for _ in range(self.env.task.control.frame_skip):
             q, v = d.qpos[index.person_qpos], d.qvel[index.person_dof]
             load = d.qfrc_bias[index.person_dof]
-            d.qfrc_applied[index.person_dof] = self.torque(target, *(jnp.asarray(x, jnp.float32) for x in (q, v, load)))
+            d.qfrc_applied[index.person_dof] = self.torque(
+                target, *(jnp.asarray(x, jnp.float32) for x in (q, v, load))
+            )
             mujoco.mj_step(self.model, d)
             touch = add_touch(index, touch, jnp.asarray(d.sensordata, jnp.float32))
             contacts = max(contacts, d.ncon)
@@ -196,8 +217,7 @@ def test_pressing_on_an_arm_is_c_mujocos(worlds: Worlds):
             worst["force"] = max(worst["force"], abs(force - theirs) / max(1.0, force))
             hardest = max(hardest, force)
             compared += theirs > 0.05
-    print(worst, compared, hardest)
-    assert compared > 0.5 * PRESS * len(WATCHED)  # it was about contact
+    assert compared > 0.5 * PRESS * len(WATCHED) and hardest > 1.0  # it was about contact
     assert worst["qpos"] < QPOS, worst
     assert worst["qvel"] < QVEL, worst
     assert worst["force"] < FORCE, worst

@@ -73,7 +73,8 @@ def _check_fk(pos: dict[str, np.ndarray], quat: dict[str, np.ndarray]) -> None:
 def test_welded_person_has_the_reference_kinematics():
     rows = body.fields(anthropometry.dims(0.0), _fk_angles(), (), 1.0, np.array([0, 0, 1.0]), xp=np)
     _check_fk(
-        {n: rows.body_pos[i] for n, i in ROW.items()}, {n: rows.body_quat[i] for n, i in ROW.items()}
+        {n: rows.body_pos[i] for n, i in ROW.items()},
+        {n: rows.body_quat[i] for n, i in ROW.items()},
     )
 
 
@@ -199,7 +200,9 @@ def test_capsule_inertia_is_the_integral_over_its_volume(radius: float, length: 
     middle = (0.0, 0.0, 0.0)
     for axis, turned in (("z", (2, 0, 1)), ("x", (0, 1, 2)), ("y", (1, 2, 0))):
         moments = np.array(body.solid_inertia(body.Shape(axis, radius, length, middle), 3.0))
-        np.testing.assert_allclose(moments[list(turned)], [3 * along, 3 * across, 3 * across], rtol=1e-6)
+        np.testing.assert_allclose(
+            moments[list(turned)], [3 * along, 3 * across, 3 * across], rtol=1e-6
+        )
 
 
 def _somebody(seed: int) -> tuple[float, float, float, float]:
@@ -229,7 +232,9 @@ def test_jax_numpy_and_compiled_model_are_the_same_person(seed: int, static_env)
             assert (mine[:, 0] > 0).all()
         np.testing.assert_allclose(found, mine, atol=1e-7, err_msg=name)
     # the inertias are written without their frames, so those have to be the links' own
-    np.testing.assert_allclose(model.body_iquat[index.person_body], [[1, 0, 0, 0]] * len(index.person_body))
+    np.testing.assert_allclose(
+        model.body_iquat[index.person_body], [[1, 0, 0, 0]] * len(index.person_body)
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -137,7 +137,9 @@ def test_pressing_without_moving_counts_once():
 
 
 def test_forces_near_the_target_add_up_and_may_be_too_much_together():
-    places = np.stack([TARGET_W, TARGET_W + [0, 0, 0.02], TARGET_W + [0, 0, 0.1]])
+    places = np.stack(
+        [TARGET_W, TARGET_W + np.array([0, 0, 0.02]), TARGET_W + np.array([0, 0, 0.1])]
+    )
     state, events = TASK.advance(itch(), sensed(touch_force=[3.0, 4.0, 50.0], touch_pos_w=places))
     np.testing.assert_allclose(state.force_at_target, 7.0, rtol=1e-6)
     np.testing.assert_allclose(events["scratch"], 7.0, rtol=1e-6)
@@ -155,7 +157,7 @@ def test_success_at_25_scratches():
 
 def test_reward_is_assistive_gyms():
     """R = -|target - tip| - 0.01 |a|^2 + 0.01 F_target + 2 r_scratch + r_pref."""
-    tip = TARGET_W + [0.03, 0.0, 0.04]  # 50 mm away
+    tip = TARGET_W + np.array([0.03, 0.0, 0.04])  # 50 mm away
     seen = touching(
         6.0, tool_pos_w=tip, tool_vel_w=[0.0, 0.3, 0.4], tool_on_person=8.0, robot_on_person=5.0
     )
@@ -190,22 +192,52 @@ def test_observations_are_differences_along_world_axes():
     shift = np.array([0.3, -1.0, 2.0])
     points = {
         k: rng.normal(size=3)
-        for k in ("tool_pos_w", "torso_pos_w", "person_pos_w", "shoulder_pos_w", "elbow_pos_w", "wrist_pos_w")
+        for k in (
+            "tool_pos_w",
+            "torso_pos_w",
+            "person_pos_w",
+            "shoulder_pos_w",
+            "elbow_pos_w",
+            "wrist_pos_w",
+        )
     }
     s = sensed(**points, tool_force=3.0, tool_on_person=2.0, robot_on_person=0.5)
     state, _ = TASK.advance(itch(), s)
     robot, person = TASK.observe(dataclasses.replace(state, force_at_target=jnp.float32(1.5)), s)
-    np.testing.assert_allclose(robot.tool_pos_torso, points["tool_pos_w"] - points["torso_pos_w"], atol=1e-6)
-    np.testing.assert_allclose(robot.tool_pos_target, points["tool_pos_w"] - state.target_pos_w, atol=1e-6)
-    np.testing.assert_allclose(robot.wrist_pos_torso, points["wrist_pos_w"] - points["torso_pos_w"], atol=1e-6)
-    np.testing.assert_allclose(person.elbow_pos_person, points["elbow_pos_w"] - points["person_pos_w"], atol=1e-6)
-    np.testing.assert_allclose(person.target_pos_person, state.target_pos_w - points["person_pos_w"], atol=1e-6)
-    assert (float(robot.tool_force), float(person.force_on_person), float(person.force_at_target)) == (3, 2.5, 1.5)
+    np.testing.assert_allclose(
+        robot.tool_pos_torso, points["tool_pos_w"] - points["torso_pos_w"], atol=1e-6
+    )
+    np.testing.assert_allclose(
+        robot.tool_pos_target, points["tool_pos_w"] - state.target_pos_w, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        robot.wrist_pos_torso, points["wrist_pos_w"] - points["torso_pos_w"], atol=1e-6
+    )
+    np.testing.assert_allclose(
+        person.elbow_pos_person, points["elbow_pos_w"] - points["person_pos_w"], atol=1e-6
+    )
+    np.testing.assert_allclose(
+        person.target_pos_person, state.target_pos_w - points["person_pos_w"], atol=1e-6
+    )
+    assert (
+        float(robot.tool_force),
+        float(person.force_on_person),
+        float(person.force_at_target),
+    ) == (3, 2.5, 1.5)
     # moving everything together changes nothing
-    far = sensed(**{k: v + shift for k, v in points.items()}, tool_force=3.0, tool_on_person=2.0, robot_on_person=0.5)
+    far = sensed(
+        **{k: v + shift for k, v in points.items()},
+        tool_force=3.0,
+        tool_on_person=2.0,
+        robot_on_person=0.5,
+    )
     far_state, _ = TASK.advance(itch(), far)
     far_state = dataclasses.replace(far_state, force_at_target=jnp.float32(1.5))
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), (robot, person), TASK.observe(far_state, far))
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5),
+        (robot, person),
+        TASK.observe(far_state, far),
+    )
 
 
 def test_start_positions_fill_the_references_box():

@@ -61,7 +61,7 @@ class StepwiseEnv:
     def __getattr__(self, name: str) -> Any:
         if name == "venv":
             raise AttributeError(name)
-        return getattr(self.venv, name)
+        return getattr(self.venv if hasattr(self.venv, name) else self.venv.env, name)
 
 
 def _aval(leaf: Any) -> jax.ShapeDtypeStruct:

@@ -80,7 +80,9 @@ class AssistiveEnv(brax_envs.Env):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # MJX's notes on its own experimental features
             self._model = _put_model(self.scene.model, self.impl)
-        self._limits = np.array(self.scene.model.jnt_range[self.scene.index.robot_joint], np.float32)
+        self._limits = np.array(
+            self.scene.model.jnt_range[self.scene.index.robot_joint], np.float32
+        )
         self._terms = self._reward_terms()
 
     # -- sizes ---------------------------------------------------------------------------------
@@ -125,13 +127,12 @@ class AssistiveEnv(brax_envs.Env):
 
     def sized_for(self, num_worlds: int) -> AssistiveEnv:
         """The same environment with Warp's buffers for so many worlds at once."""
-        return AssistiveEnv(
-            self.task, self.robot, self.active, self.impl, self.people, num_worlds
-        )
+        return AssistiveEnv(self.task, self.robot, self.active, self.impl, self.people, num_worlds)
 
     # -- the two pure functions ----------------------------------------------------------------
 
-    def reset(self, rng: Array) -> State:
+    # A State serves Brax in use, not by its type.
+    def reset(self, rng: Array) -> State:  # pyrefly: ignore[bad-override]
         """A new person, a new goal, the robot at a new start.
 
         Args:
@@ -156,7 +157,7 @@ class AssistiveEnv(brax_envs.Env):
         fresh = self._begin(state.data, key, where=where, old=state)
         return fresh.replace(key=jnp.where(where, key_next, state.key))
 
-    def step(self, state: State, action: Array) -> State:
+    def step(self, state: State, action: Array) -> State:  # pyrefly: ignore[bad-override]
         """One control step of 0.1 s.
 
         Args:
@@ -190,9 +191,7 @@ class AssistiveEnv(brax_envs.Env):
             data = mjx.step(model, data)
             return (data, add_touch(index, touch, data.sensordata)), None
 
-        (data, touch), _ = jax.lax.scan(
-            substep, (data, no_touch(index)), length=control.frame_skip
-        )
+        (data, touch), _ = jax.lax.scan(substep, (data, no_touch(index)), length=control.frame_skip)
         # sense
         data = mjx.kinematics(model, data)
         sensed = sense(index, data, touch, control.frame_skip, episode.person.dims)
@@ -266,7 +265,9 @@ class AssistiveEnv(brax_envs.Env):
         rows = person_rows(self.task, p.dims, p.sex, p.stature, p.girth, p.limit_scale, jnp)
         moving = muscles.is_moving(p.tremor, self.active)
         invweight = {
-            name: jnp.asarray(_blend(getattr(self.scene.model, name), getattr(self.scene.female, name), p.sex))
+            name: jnp.asarray(
+                _blend(getattr(self.scene.model, name), getattr(self.scene.female, name), p.sex)
+            )
             for name in ("body_invweight0", "dof_invweight0")
         }
         bodies, geoms, joints = index.person_body, index.person_geom, index.person_joint
@@ -315,7 +316,11 @@ class AssistiveEnv(brax_envs.Env):
             arm = [f"{side[0]}_{j}" for j in ("shoulder_y", "shoulder_x", "shoulder_z", "elbow_x")]
             if arm[0] in names:
                 i = np.array([names.index(j) for j in arm])
-                torque = torque.at[i].set(limits.limit_torque(self._arm_limits, q[i], v[i], 1.0 if side == "right" else -1.0))
+                torque = torque.at[i].set(
+                    limits.limit_torque(
+                        self._arm_limits, q[i], v[i], 1.0 if side == "right" else -1.0
+                    )
+                )
         return torque
 
     def _observe(self, task: Any, sensed: Sensed) -> Array:
@@ -346,7 +351,10 @@ class AssistiveEnv(brax_envs.Env):
         """Names of the reward terms, without running anything."""
 
         def terms() -> dict:
-            n = {k: len(v) for k, v in (("arm", self.scene.arm.joints), ("p", self.task.person.joints))}
+            n = {
+                k: len(v)
+                for k, v in (("arm", self.scene.arm.joints), ("p", self.task.person.joints))
+            }
             zero = jnp.float32(0.0)
             touches = len(self.scene.index.tool_person)
             vectors = {
@@ -388,9 +396,8 @@ class AssistiveEnv(brax_envs.Env):
             state: of one world (index a batch first, with ``jax.tree.map(lambda x: x[i], state)``).
         """
         p, place = state.episode.person, state.episode.placement
-        base = Pose(
-            tuple(float(x) for x in place.base_pos), tuple(float(x) for x in place.base_quat)
-        )  # ty: ignore
+        (x, y, z), (qw, qx, qy, qz) = place.base_pos.tolist(), place.base_quat.tolist()
+        base = Pose((x, y, z), (qw, qx, qy, qz))
         model = compose(
             self.task, self.robot, float(p.sex), float(p.stature), float(p.girth),
             float(p.limit_scale), base, visual=True,
@@ -454,7 +461,7 @@ def _select(where: Array, new: Any, old: Any) -> Any:
 
 
 def _blend(male: np.ndarray, female: np.ndarray, sex: Array) -> Array:
-    return male.astype(np.float32) + sex * (female - male).astype(np.float32)
+    return jnp.asarray(male, jnp.float32) + sex * (female - male).astype(np.float32)
 
 
 __all__ = ["AssistiveEnv", "Placement", "State", "choose_impl"]

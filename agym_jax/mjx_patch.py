@@ -9,8 +9,13 @@ longer has the function; delete both when kinematics is as fast without.
 
 from __future__ import annotations
 
+import contextlib
+import io
+
 import jax
-from mujoco.mjx._src import math as mjx_math
+
+with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that warp-lang is not installed
+    from mujoco.mjx._src import math as mjx_math
 
 _original = mjx_math.quat_mul
 

@@ -98,7 +98,7 @@ def build_bank(
 
     @jax.jit
     def solve(goals):
-        one = lambda goal, start: kinematics.inverse(chain, start, goal, goal_rot)  # noqa: E731
+        one = lambda goal, start: kinematics.inverse(chain, start, goal, jnp.asarray(goal_rot))  # noqa: E731
         angles, distance, turn = jax.vmap(lambda g: jax.vmap(lambda s: one(g, s))(starts))(goals)
         ok = (distance < REACHED) & (turn < REACHED_ROTATION)
         score = jax.vmap(jax.vmap(lambda q: kinematics.isotropy(chain, q)))(angles)
@@ -121,8 +121,9 @@ def build_bank(
     if not rows:
         raise SpecError(f"No start pose of {task.name} can be reached by {robot.name}: {report}.")
     k = len(rows)
-    tile = lambda x: np.tile(np.array(x, np.float32), (k, 1))  # noqa: E731
-    return Placement(tile(base.pos), tile(base.quat), _unwind(np.array(rows, np.float32), chain)), report
+    tile = lambda x: jnp.tile(jnp.array(x, jnp.float32), (k, 1))  # noqa: E731
+    angles = jnp.asarray(_unwind(np.array(rows, np.float32), chain))
+    return Placement(tile(base.pos), tile(base.quat), angles), report
 
 
 class _Clearance:
@@ -140,7 +141,9 @@ class _Clearance:
         nearest = np.inf
         for model, data in self.models:
             data.qpos[self.index.robot_qpos] = angles
-            data.qpos[self.index.person_qpos] = [self.pose.pose.get(j, 0.0) for j in self.pose.joints]
+            data.qpos[self.index.person_qpos] = [
+                self.pose.pose.get(j, 0.0) for j in self.pose.joints
+            ]
             mujoco.mj_kinematics(model, data)
             for a in self.robot:
                 for b in self.rest:

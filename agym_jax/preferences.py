@@ -29,6 +29,7 @@ def preference_terms(
     high = jnp.where(force_at_target < 10.0, 0.0, force_at_target)
     return {
         "preference_velocity": -weights.velocity * tool_speed,
-        "preference_force_nontarget": -weights.force_nontarget * (force_on_person - force_at_target),
+        "preference_force_nontarget": -weights.force_nontarget
+        * (force_on_person - force_at_target),
         "preference_high_forces": -weights.high_forces * high,
     }

@@ -57,7 +57,9 @@ class Scene:
 def build_scene(task: Task, robot: RobotSpec) -> Scene:
     """Compile the scene of a task-robot pair; the result is shared, do not write into it."""
     male = compose(task, robot, sex=0.0)
-    return Scene(male, compose(task, robot, sex=1.0), _index(male, task, robot), robot.arm(task.arm))
+    return Scene(
+        male, compose(task, robot, sex=1.0), _index(male, task, robot), robot.arm(task.arm)
+    )
 
 
 def compose(
@@ -224,7 +226,9 @@ def _close_gripper(spec: mujoco.MjSpec, arm: Arm, opening: float) -> None:
             finger.quat = quat
         else:
             shift = np.zeros(3)
-            mujoco.mju_rotVecQuat(shift, np.asarray(joint.axis, float), np.asarray(finger.quat, float))
+            mujoco.mju_rotVecQuat(
+                shift, np.asarray(joint.axis, float), np.asarray(finger.quat, float)
+            )
             finger.pos = np.asarray(finger.pos) + opening * shift
         spec.delete(joint)
 
@@ -276,7 +280,9 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec) -> Index:
         found = [mujoco.mj_name2id(model, kind, n) for n in names]
         for name, i in zip(names, found, strict=True):
             if i < 0:
-                raise UnknownNameError(kind.name.removeprefix("mjOBJ_").lower(), name, _all(model, kind))
+                raise UnknownNameError(
+                    kind.name.removeprefix("mjOBJ_").lower(), name, _all(model, kind)
+                )
         return np.array(found, np.int32)
 
     o = mujoco.mjtObj
@@ -327,5 +333,3 @@ def _all(model: mujoco.MjModel, kind: mujoco.mjtObj) -> list[str]:
         mujoco.mjtObj.mjOBJ_SENSOR: model.nsensor, mujoco.mjtObj.mjOBJ_ACTUATOR: model.nu,
     }[kind]  # fmt: skip
     return [mujoco.mj_id2name(model, kind, i) or "" for i in range(count)]
-
-

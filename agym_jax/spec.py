@@ -7,7 +7,7 @@ quaternions wxyz, unless a name says otherwise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -146,17 +146,59 @@ class Preferences:
 class Task(Protocol):
     """A task: data for the scene, and pure functions of what one control step shows."""
 
-    name: str
-    control: Control
-    gravity: float  # world z [m/s^2], on the person only
-    arm: str  # side of the robot's arm
-    tool: ToolSpec
-    seat: SeatSpec
-    person: PersonSpec
-    episode_length: int  # control steps
-    start: Callable[..., Any]  # (key) -> tool-hand position to start from, world [m] (3,)
-    robot_obs: type
-    person_obs: type
+    @property
+    def name(self) -> str:
+        """As in the environment ids."""
+        ...
+
+    @property
+    def control(self) -> Control:
+        """Rates and motors."""
+        ...
+
+    @property
+    def gravity(self) -> float:
+        """World z [m/s^2], on the person only."""
+        ...
+
+    @property
+    def arm(self) -> str:
+        """Side of the robot's arm."""
+        ...
+
+    @property
+    def tool(self) -> ToolSpec:
+        """What the robot holds."""
+        ...
+
+    @property
+    def seat(self) -> SeatSpec:
+        """What the person sits or lies on."""
+        ...
+
+    @property
+    def person(self) -> PersonSpec:
+        """The person's part."""
+        ...
+
+    @property
+    def episode_length(self) -> int:
+        """Control steps of an episode."""
+        ...
+
+    @property
+    def robot_obs(self) -> type:
+        """Observation record of the robot."""
+        ...
+
+    @property
+    def person_obs(self) -> type:
+        """Observation record of the person."""
+        ...
+
+    def start(self, key: jax.Array) -> jax.Array:
+        """Where the hand starts, world [m] (3,)."""
+        ...
 
     def init(self, key: jax.Array, sensed: Any) -> Any:
         """Draw the episode's goal; returns the task's own pytree."""
@@ -176,4 +218,8 @@ class Task(Protocol):
 
     def success(self, state: Any) -> jax.Array:
         """Whether the episode counts as a success so far ()."""
+        ...
+
+    def markers(self, state: Any) -> list[Any]:
+        """Points to draw: world position [m] (3,), radius [m], colour."""
         ...

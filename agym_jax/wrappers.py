@@ -85,7 +85,6 @@ class VectorEnv:
         )
         return state.replace(info=info)
 
-
     def stagger(self, state: Any, key: Array) -> Any:
         """Put the worlds' clocks at random steps, so that episodes do not all end together.
 

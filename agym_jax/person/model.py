@@ -116,29 +116,66 @@ def _dress(bodies: dict, d: Dims) -> None:
     face = y - 1.12 * r
     add("head", ellipsoid, (0.012, 0.017, 0.018), (0, face - 0.004, mouth_z + 0.037), SKIN)
     for side in (-1, 1):
-        add("head", ellipsoid, (0.010, 0.006, 0.0065), (side * 0.030, face + 0.0125, mouth_z + 0.063), (0.97, 0.97, 0.95, 1))
+        add(
+            "head",
+            ellipsoid,
+            (0.010, 0.006, 0.0065),
+            (side * 0.030, face + 0.0125, mouth_z + 0.063),
+            (0.97, 0.97, 0.95, 1),
+        )
         add("head", sphere, (0.0052, 0, 0), (side * 0.030, face + 0.0085, mouth_z + 0.063), EYES)
-        add("head", ellipsoid, (0.015, 0.005, 0.0028), (side * 0.030, face + 0.010, mouth_z + 0.081), HAIR)
-        add("head", ellipsoid, (0.008, 0.014, 0.023), (side * 0.97 * r, y + 0.008, middle - 0.008), SKIN)
-    add("head", ellipsoid, (1.03 * skull[0], 1.02 * skull[1], 0.80 * skull[2]), (0, y + 0.018, middle + 0.040), HAIR)
+        add(
+            "head",
+            ellipsoid,
+            (0.015, 0.005, 0.0028),
+            (side * 0.030, face + 0.010, mouth_z + 0.081),
+            HAIR,
+        )
+        add(
+            "head",
+            ellipsoid,
+            (0.008, 0.014, 0.023),
+            (side * 0.97 * r, y + 0.008, middle - 0.008),
+            SKIN,
+        )
+    add(
+        "head",
+        ellipsoid,
+        (1.03 * skull[0], 1.02 * skull[1], 0.80 * skull[2]),
+        (0, y + 0.018, middle + 0.040),
+        HAIR,
+    )
     # belly and neck line close the gaps between the torso's capsules
     chest_r, waist_r = float(d.chest_r), float(d.waist_r)
     half = float(d.shoulder_x) - 0.03
     add("chest", ellipsoid, (half, 0.86 * chest_r, 0.155), (0, 0.004, 0.005), SHIRT)
-    add("waist", ellipsoid, (0.93 * (waist_r + float(d.waist_l) / 2 + 0.02), 0.95 * waist_r, 0.16), (0, 0, 0.03), SHIRT)
+    add(
+        "waist",
+        ellipsoid,
+        (0.93 * (waist_r + float(d.waist_l) / 2 + 0.02), 0.95 * waist_r, 0.16),
+        (0, 0, 0.03),
+        SHIRT,
+    )
     for side in ("right", "left"):
         sign = -1.0 if side == "right" else 1.0
         upper, fore = float(d.upper_arm_r), float(d.forearm_r)
         elbow = (upper + fore) / 2
         add(f"{side}_forearm", sphere, (elbow, 0, 0), (0, 0.006, 0), SKIN)
         sleeve = float(d.upper_arm_l) * 0.42
-        add(f"{side}_upper_arm", capsule, (upper + 0.006, sleeve / 2, 0), (0, 0, -sleeve / 2), SHIRT)
+        add(
+            f"{side}_upper_arm", capsule, (upper + 0.006, sleeve / 2, 0), (0, 0, -sleeve / 2), SHIRT
+        )
         hand = float(d.hand_r)
         for finger in range(4):
             x = (finger - 1.5) * 0.42 * hand
             add(f"{side}_hand", capsule, (0.19 * hand, 0.5 * hand, 0), (x, 0, -2.25 * hand), SKIN)
-        add(f"{side}_hand", capsule, (0.2 * hand, 0.45 * hand, 0), (-sign * 0.85 * hand, -0.2 * hand, -1.45 * hand), SKIN, (0.95, 0, -sign * 0.3, 0))
+        add(
+            f"{side}_hand",
+            capsule,
+            (0.2 * hand, 0.45 * hand, 0),
+            (-sign * 0.85 * hand, -0.2 * hand, -1.45 * hand),
+            SKIN,
+            (0.95, 0, -sign * 0.3, 0),
+        )
         add(f"{side}_shin", sphere, (float(d.shin_r) + 0.012, 0, 0), (0, 0, 0), TROUSERS)
         add(f"{side}_foot", sphere, (float(d.foot_r), 0, 0), (0, 0, 0.01), TROUSERS)
-
-

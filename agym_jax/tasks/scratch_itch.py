@@ -57,7 +57,9 @@ class ItchState:
 class RobotObs:
     """What the robot sees."""
 
-    tool_pos_torso: Array = column(3, "m", "world axes, from the robot's torso", "scratch_itch.py:74")
+    tool_pos_torso: Array = column(
+        3, "m", "world axes, from the robot's torso", "scratch_itch.py:74"
+    )
     tool_quat_w: Array = column(4, "1 (wxyz)", "world", "scratch_itch.py:74")
     tool_pos_target: Array = column(3, "m", "world axes, from the itch", "scratch_itch.py:74")
     target_pos_torso: Array = column(3, "m", "world axes, from the torso", "scratch_itch.py:74")
@@ -130,7 +132,9 @@ class ScratchItch:
 
     def start(self, key: Array) -> Array:
         """Where the hand starts, world [m] (3,). AG scratch_itch.py reset, Jaco."""
-        return jnp.array([-0.5, 0.0, 0.8]) + jax.random.uniform(key, (3,), minval=-0.05, maxval=0.05)
+        return jnp.array([-0.5, 0.0, 0.8]) + jax.random.uniform(
+            key, (3,), minval=-0.05, maxval=0.05
+        )
 
     def init(self, key: Array, sensed: Sensed) -> ItchState:
         """Draw the itch: a point on the skin of the upper arm or the forearm.

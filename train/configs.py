@@ -61,7 +61,7 @@ class PPOConfig:
     """Physics: "jax", "warp", or "auto" (Warp on an NVIDIA GPU where it is installed)."""
 
     num_processes: Annotated[Count, tyro.conf.arg(aliases=["--num-envs"])] = 0
-    """Worlds simulated side by side; 0 = 4096 on an accelerator, 64 on a CPU."""
+    """Worlds simulated side by side; 0 = 1024 on an accelerator, 64 on a CPU."""
     num_steps: Count = 20
     """Steps of each world in one update."""
     ppo_epoch: Count = 4
@@ -147,7 +147,18 @@ class PPOConfig:
 
 # What a task changes of the base, measured on a GPU. Keys are the beginnings of environment ids.
 TASK_CHANGES: dict[str, dict[str, Any]] = {
-    "ScratchItch": {},
+    # Short strokes want a short horizon; wide exploration finds them; a sampled action keeps moving.
+    "ScratchItch": {
+        "ppo_epoch": 8,
+        "num_mini_batch": 16,
+        "lr": 7e-4,
+        "gamma": 0.95,
+        "gae_lambda": 0.9,
+        "distribution": "normal",
+        "policy_hidden": (256, 128),
+        "value_hidden": (256, 256),
+        "activation": "elu",
+    },
     "BedBathing": {},
     "Feeding": {},
     "Drinking": {},
@@ -204,7 +215,7 @@ def resolve(config: PPOConfig, platform: str) -> PPOConfig:
     Raises:
         ConfigError: the data of an update do not divide into mini-batches.
     """
-    num_envs = config.num_processes or (64 if platform == "cpu" else 4096)
+    num_envs = config.num_processes or (64 if platform == "cpu" else 1024)
     batch = num_envs * config.num_steps
     if batch % config.num_mini_batch:
         divisors = [n for n in range(1, min(batch, 256) + 1) if batch % n == 0]

@@ -61,8 +61,8 @@ def throughput(folder: Path = RESULTS) -> str:
     if not lines:
         return NOTHING
     body = [
-        f"| {x['env']} | {x['impl']} | {x['num_envs']:,} | **{x['steps_per_second']:,}** "
-        f"({x['steps_per_second_min']:,} to {x['steps_per_second_max']:,}) "
+        f"| {x['env']} | {x['impl']} | {x['num_envs']:,} | **{x['steps_per_s']:,}** "
+        f"({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,}) "
         f"| {x['compile_seconds'] + x['first_call_seconds']:.0f} s | {x['nan']} |"
         for x in sorted(lines, key=lambda x: (x["env"], x["impl"], x["num_envs"]))
     ]
@@ -77,7 +77,7 @@ def cpu(folder: Path = RESULTS) -> str:
         return NOTHING
     body = [
         f"| {x['env']} | {x['cold_step_seconds']:.0f} s | {x['warm_step_seconds']:.0f} s "
-        f"| {x['single_steps_per_second']:,} | {x['steps_per_second']:,} |"
+        f"| {x['single_steps_per_s']:,} | {x['steps_per_s']:,} |"
         for x in sorted(lines, key=lambda x: x["env"])
     ]
     worlds = ", ".join(str(n) for n in sorted({x["num_envs"] for x in lines}))
@@ -103,21 +103,36 @@ def nan(folder: Path = RESULTS) -> str:
 
 def policies(folder: Path = RESULTS) -> str:
     """What shipped policies achieve."""
-    lines = read_results("evaluation", ("env", "policy"), folder)
+    lines = read_results("evaluation", ("env", "policy", "seed"), folder)
     if not lines:
         return NOTHING
     body = [
         f"| {x['env']} | {Path(x['policy']).stem if '/' in x['policy'] else x['policy']} "
-        f"| {x['episodes']} | {x['return_mean']:.1f} ± {x['return_std']:.1f} "
+        f"| {x.get('seed', '')} | {x['episodes']} | {x['return_mean']:.1f} ± {x['return_std']:.1f} "
         f"| {x['force_mean']:.2f} N "
         f"| {x['success']:.0%} ({x['success_low']:.0%} to {x['success_high']:.0%}) |"
-        for x in sorted(lines, key=lambda x: (x["env"], -x["return_mean"]))
+        for x in sorted(lines, key=lambda x: (x["env"], x.get("seed", 0), -x["success"]))
     ]
-    head = "| environment | policy | episodes | return | mean force on the person "
+    head = "| environment | policy | seed | episodes | return | mean force on the person "
     return rows(head + "| success (95 % interval) |", body) + f"\n\n{about(lines)}"
 
 
+def training(folder: Path = RESULTS) -> str:
+    """What training costs."""
+    lines = read_results("training", ("env", "impl", "seed"), folder)
+    if not lines:
+        return NOTHING
+    body = [
+        f"| {x['env']} | {x['impl']} | {x['num_envs']:,} | {x['steps']:,} | {x['start']} "
+        f"| {x['wall_s']:.0f} s | {x['success']:.0%} |"
+        for x in sorted(lines, key=lambda x: (x["env"], x["impl"], x["seed"]))
+    ]
+    head = "| environment | physics | worlds | steps | start | wall time, all in | success at the end |"
+    return rows(head, body) + f"\n\n{about(lines)}"
+
+
 TABLES: dict[str, Callable[..., str]] = {
+    "training": training,
     "throughput": throughput,
     "policies": policies,
     "nan": nan,

@@ -99,9 +99,9 @@ def measure(
         "seed": seed,
         "compile_seconds": round(compiled - start, 2),
         "first_call_seconds": round(warm - compiled, 2),
-        "steps_per_second": round(statistics.median(speeds)),
-        "steps_per_second_min": round(min(speeds)),
-        "steps_per_second_max": round(max(speeds)),
+        "steps_per_s": round(statistics.median(speeds)),
+        "steps_per_s_min": round(min(speeds)),
+        "steps_per_s_max": round(max(speeds)),
         "nan": int(totals["nan"]),
         "overflow": int(totals["overflow"]),
         "episodes": int(totals["episodes"]),
@@ -115,8 +115,8 @@ def shown(line: dict[str, Any]) -> str:
     memory = line["peak_memory_mb"]
     return (
         f"{line['env']} {line['impl']:<4} {line['num_envs']:>6} worlds: "
-        f"{line['steps_per_second']:>9,} steps/s "
-        f"({line['steps_per_second_min']:,} to {line['steps_per_second_max']:,} in "
+        f"{line['steps_per_s']:>9,} steps/s "
+        f"({line['steps_per_s_min']:,} to {line['steps_per_s_max']:,} in "
         f"{line['repeats']}), compiled in {line['compile_seconds']:.0f} s, first call "
         f"{line['first_call_seconds']:.1f} s, NaN {line['nan']}, overflow {line['overflow']}"
         + (f", {memory:,.0f} MB" if memory else "")

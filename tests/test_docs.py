@@ -22,9 +22,9 @@ RESULT = {
     "env": "ScratchItchJaco-v0",
     "impl": "warp",
     "num_envs": 4096,
-    "steps_per_second": 1234567,
-    "steps_per_second_min": 1200000,
-    "steps_per_second_max": 1300000,
+    "steps_per_s": 1234567,
+    "steps_per_s_min": 1200000,
+    "steps_per_s_max": 1300000,
     "compile_seconds": 2.0,
     "first_call_seconds": 40.0,
     "nan": 0,
@@ -170,7 +170,7 @@ x = 1
 
 
 def test_a_table_shows_the_newest_result_and_leaves_out_lost_contacts(tmp_path):
-    old, lost = RESULT | {"steps_per_second": 1}, RESULT | {"num_envs": 8, "overflow": 3}
+    old, lost = RESULT | {"steps_per_s": 1}, RESULT | {"num_envs": 8, "overflow": 3}
     lines = "\n".join(json.dumps(line) for line in (old, RESULT, lost))
     (tmp_path / "throughput.jsonl").write_text(lines)
     text = "a\n<!-- table:throughput -->\nold\n<!-- /table:throughput -->\nb"

@@ -94,7 +94,7 @@ def test_automatic_settings_depend_on_the_machine():
     assert resolve(PPOConfig(), "cpu").num_processes == 64
     config = resolve(PPOConfig(), "gpu")
     assert config.num_processes == 1024
-    lines = 10_000_000 / (4096 * config.num_steps * config.log_interval)
+    lines = 10_000_000 / (1024 * config.num_steps * config.log_interval)
     assert 40 < lines < 160
     assert config.save_interval % config.log_interval == 0
 

@@ -1,11 +1,12 @@
 """Both implementations of MJX mean the same. Needs warp-lang, which runs on the CPU too (slowly)."""
 
 # ruff: noqa: D103
-import agym_jax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+
+import agym_jax
 from agym_jax.wrappers import vectorize
 
 pytestmark = pytest.mark.warp

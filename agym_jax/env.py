@@ -4,12 +4,13 @@ One class for every task, robot and person. ``reset`` and ``step`` are pure and 
 ``jax.vmap`` them, or let ``agym_jax.wrappers.vectorize`` do it with auto-reset.
 
 DEVIATION(action-penalty): actions are clipped to [-1, 1] before they are penalised (AG penalises the
-raw action, defect 10 of reference tasks.md).
+raw action).
 DEVIATION(quaternion-order): observed quaternions are wxyz; AG's are xyzw.
 DEVIATION(limit-clip): a robot's target is clipped to the joint limits; AG drops the rest of a
 joint's motion in that control step once it would cross a limit.
-DEVIATION(one-key): everything random follows from the key (AG's sex and impairment ignore the seed,
-defect 1 of reference tasks.md).
+DEVIATION(one-key): everything random follows from the key (AG's sex and impairment ignore the seed).
+DEVIATION(arm-limits-always): the pose-dependent limits of the arm hold for the still person too, whom
+the robot may push; AG judges them for the active person only.
 """
 
 from __future__ import annotations

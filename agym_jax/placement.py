@@ -5,8 +5,8 @@ here thousands of problems are solved at once, offline, and a reset draws a row.
 
     python -m agym_jax.placement build ScratchItchJaco-v0
 
-DEVIATION(start-free): start poses in which the robot or its tool would touch the person, the seat or
-itself are left out of the bank; AG starts with them.
+DEVIATION(start-free): start poses in which the robot or its tool would touch the person or the
+seat are left out of the bank; AG starts with them.
 """
 
 from __future__ import annotations

@@ -3,6 +3,11 @@
 Parts are composed with ``MjSpec.attach`` under the prefixes ``robot/``, ``tool/``, ``person/``,
 ``seat/`` and ``mount/``. The physics model is lean: no visual geoms, hinges only where something
 moves. The same function with ``visual=True`` gives the model that people look at.
+
+DEVIATION(contacts): contact is simulated between named primitives only: tool, hand, wrist and forearm
+of the robot, the person's arm, torso, head and right thigh, and the right armrest. The robot does not
+collide with itself or with the rest of the wheelchair; AG uses convex meshes of everything.
+DEVIATION(hard-limits): human joint limits are MuJoCo's limit constraints; AG resets the joint.
 """
 
 from __future__ import annotations

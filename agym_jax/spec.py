@@ -37,6 +37,9 @@ class Control:
     control step. Here it is the linear servo ``torque = damping * (rate * (target - angle) -
     velocity)`` whose damping is chosen so that a full action against a blocked joint presses with
     exactly the bound: no clipping, hence the same meaning in every MJX implementation.
+
+    DEVIATION(motor): the torque grows with the missing velocity and reaches AG's bound at a full action
+    against a blocked joint; AG's motor applies up to the bound at any action. Free motion is AG's.
     """
 
     time_step: float  # physics step [s]

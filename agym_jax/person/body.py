@@ -10,7 +10,7 @@ zero angles, and lies at the link's (last) joint.
 
 DEVIATION(person-mass): mass sits at the centre of each limb's capsule with the inertia of a solid
 capsule, and the 13 % that AG keeps on a shapeless pelvis link is the waist's. AG has every centre
-of mass at the proximal joint (defect 11 of reference tasks.md).
+of mass at the proximal joint.
 """
 
 from __future__ import annotations

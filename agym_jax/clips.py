@@ -60,8 +60,7 @@ def _check_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
         raise OutputPathError(f"Cannot write {path}: it is a folder.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
+        tempfile.TemporaryFile(dir=path.parent).close()
     except OSError as error:
         raise OutputPathError(
             f"Cannot write {path}: its folder {path.parent} is not writable ({error.strerror})."

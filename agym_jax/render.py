@@ -108,7 +108,16 @@ def _open_library(name: str, width: int, height: int) -> Any:
     """
     before = set(sys.modules)
     platform_before = os.environ.get("PYOPENGL_PLATFORM")
-    try:
+
+    def forget() -> None:
+        for module in set(sys.modules) - before:
+            if module.split(".")[0] == "OpenGL" or module.startswith(f"mujoco.{name}"):
+                del sys.modules[module]
+        if platform_before is None:
+            os.environ.pop("PYOPENGL_PLATFORM", None)
+
+    with contextlib.ExitStack() as on_failure:
+        on_failure.callback(forget)
         if name == "egl":
             _probe_egl()
         with warnings.catch_warnings():
@@ -117,13 +126,7 @@ def _open_library(name: str, width: int, height: int) -> Any:
             if not getattr(context, "_context", True):
                 raise RuntimeError("it gave no context")
             context.make_current()
-    except Exception:
-        for module in set(sys.modules) - before:
-            if module.split(".")[0] == "OpenGL" or module.startswith(f"mujoco.{name}"):
-                del sys.modules[module]
-        if platform_before is None:
-            os.environ.pop("PYOPENGL_PLATFORM", None)
-        raise
+        on_failure.pop_all()  # it works: nothing to forget
     return context
 
 

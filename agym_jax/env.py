@@ -15,9 +15,7 @@ the robot may push; AG judges them for the active person only.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-import importlib.util
 import warnings
 from typing import Any
 
@@ -30,22 +28,20 @@ from jax import Array
 from mujoco import mjx
 
 from agym_jax import observe
-from agym_jax.errors import ActionError, ImplementationError, did_you_mean
+from agym_jax.errors import ActionError
 from agym_jax.person import body, draw, limits, muscles
+from agym_jax.physics import (
+    WARP_CONTACTS_PER_WORLD,
+    WARP_LOST,
+    WARP_ROWS_PER_WORLD,
+    choose_impl,
+    put_model,
+)
 from agym_jax.placement import load_bank
 from agym_jax.scene import build_scene, compose, person_rows
 from agym_jax.sense import Sensed, add_touch, no_touch, sense
 from agym_jax.spec import Pose, RobotSpec, Task
 from agym_jax.state import Episode, Placement, State
-
-IMPLEMENTATIONS = ("auto", "jax", "warp")
-WARP_CONTACTS_PER_WORLD = 24
-WARP_ROWS_PER_WORLD = 128
-WARP_ITERATIONS, WARP_LS_ITERATIONS = 20, 20
-"""Warp stops when it has converged, so generous limits cost nothing."""
-WARP_LOST = 0b1001111
-"""Bits of Warp's overflow flags that mean lost contacts or rows: NEFC, NJMAX_NNZ, BROADPHASE,
-NARROWPHASE, CONTACT_MATCH (not: iteration limits). MuJoCo Warp 3.17, types.OverflowType."""
 
 
 class AssistiveEnv(brax_envs.Env):
@@ -80,7 +76,7 @@ class AssistiveEnv(brax_envs.Env):
         self._arm_limits = limits.load_arm_limits()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # MJX's notes on its own experimental features
-            self._model = _put_model(self.scene.model, self.impl)
+            self._model = put_model(self.scene.model, self.impl)
         self._limits = np.array(
             self.scene.model.jnt_range[self.scene.index.robot_joint], np.float32
         )
@@ -418,37 +414,6 @@ class AssistiveEnv(brax_envs.Env):
         return self.task.markers(state.task)
 
 
-def choose_impl(impl: str) -> str:
-    """The physics implementation that a name stands for on this machine.
-
-    Raises:
-        ImplementationError: there is no such implementation, or Warp is not installed.
-    """
-    if impl not in IMPLEMENTATIONS:
-        raise ImplementationError(
-            f"Unknown implementation {impl!r}. {did_you_mean(impl, IMPLEMENTATIONS)}"
-        )
-    has_warp = importlib.util.find_spec("warp") is not None
-    if impl == "warp" and not has_warp:
-        raise ImplementationError(
-            "impl='warp' needs the package warp-lang: pip install 'agym_jax[cuda]' "
-            "(or use impl='jax', which runs everywhere)."
-        )
-    if impl == "auto":
-        return "warp" if has_warp and jax.default_backend() == "gpu" else "jax"
-    return impl
-
-
-def _put_model(model: mujoco.MjModel, impl: str) -> mjx.Model:
-    if impl != "warp":
-        return mjx.put_model(model, impl=impl)
-    model = copy.copy(model)
-    model.opt.iterations, model.opt.ls_iterations = WARP_ITERATIONS, WARP_LS_ITERATIONS
-    put = mjx.put_model(model, impl=impl)
-    option = put.opt._impl.replace(warn_overflow=WARP_LOST)  # no print for iteration limits
-    return put.replace(opt=put.opt.replace(_impl=option))
-
-
 def _strong(tree: Any) -> Any:
     """No weak types: what ``reset`` and ``step`` return must compile once."""
     return jax.tree.map(
@@ -465,4 +430,4 @@ def _blend(male: np.ndarray, female: np.ndarray, sex: Array) -> Array:
     return jnp.asarray(male, jnp.float32) + sex * (female - male).astype(np.float32)
 
 
-__all__ = ["AssistiveEnv", "Placement", "State", "choose_impl"]
+__all__ = ["AssistiveEnv", "Placement", "State"]

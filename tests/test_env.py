@@ -15,8 +15,8 @@ from conftest import BATCH, STATIC, Rollout, Worlds, roll
 
 import agym_jax
 from agym_jax import observe
-from agym_jax.env import choose_impl
 from agym_jax.errors import ActionError, ImplementationError
+from agym_jax.physics import choose_impl
 from agym_jax.wrappers import vectorize
 
 jit = pytest.mark.jit

@@ -93,6 +93,7 @@ class RobotSpec:
     grasps: Mapping[str, Pose] = field(default_factory=dict)  # tool -> pose, over the tool's own
     bases: Mapping[str, Pose] = field(default_factory=dict)  # seat -> fixed base; else searched
     mounts: Mapping[str, str] = field(default_factory=dict)  # seat -> asset that carries the base
+    rest: Mapping[str, float] = field(default_factory=dict)  # joint not in use -> angle, else 0
     start_rotations: Mapping[str, Quat] = field(default_factory=dict)  # task -> hand orientation
 
     def arm(self, side: str) -> Arm:

@@ -30,6 +30,7 @@ from mujoco import mjx
 from agym_jax import observe
 from agym_jax.errors import ActionError
 from agym_jax.person import body, draw, limits, muscles
+from agym_jax.person import pose as person_pose
 from agym_jax.physics import (
     WARP_CONTACTS_PER_WORLD,
     WARP_LOST,
@@ -38,7 +39,7 @@ from agym_jax.physics import (
     put_model,
 )
 from agym_jax.placement import load_bank
-from agym_jax.scene import build_scene, compose, person_rows
+from agym_jax.scene import build_scene, compose
 from agym_jax.sense import Sensed, add_touch, no_touch, sense
 from agym_jax.spec import Pose, RobotSpec, Task
 from agym_jax.state import Episode, Placement, State
@@ -69,7 +70,7 @@ class AssistiveEnv(brax_envs.Env):
         self.people = people or draw.People()
         self.impl = choose_impl(impl)
         self.num_worlds = num_worlds
-        self.scene = build_scene(task, robot)
+        self.scene = build_scene(task, robot, active)
         self.name = f"{task.name}{robot.name}{'Human' if active else ''}-v0"
         self.episode_length = task.episode_length
         self._bank = load_bank(task, robot)
@@ -80,15 +81,15 @@ class AssistiveEnv(brax_envs.Env):
         self._limits = np.array(
             self.scene.model.jnt_range[self.scene.index.robot_joint], np.float32
         )
-        self._terms = self._reward_terms()
+        self._driven = dataclasses.replace(task.person, joints=self.scene.moving)
 
     # -- sizes ---------------------------------------------------------------------------------
 
     @property
     def action_sizes(self) -> dict[str, int]:
         """Entries of the action that belong to each agent, in order."""
-        sizes = {"robot": len(self.scene.arm.joints)}
-        return {**sizes, "person": len(self.task.person.joints)} if self.active else sizes
+        sizes = {"robot": len(self.scene.index.robot_joint)}
+        return {**sizes, "person": len(self.scene.moving)} if self.active else sizes
 
     @property
     def observation_sizes(self) -> dict[str, int]:
@@ -181,7 +182,7 @@ class AssistiveEnv(brax_envs.Env):
             data, touch = carry
             q, v = data.qpos[index.person_qpos], data.qvel[index.person_dof]
             torque = muscles.torque(
-                self.task.person, person_target, q, data.qfrc_bias[index.person_dof],
+                self._driven, person_target, q, data.qfrc_bias[index.person_dof],
                 episode.person.strength, moving,
             ) + self._limit_torque(q, v)  # fmt: skip
             data = data.replace(qfrc_applied=data.qfrc_applied.at[index.person_dof].set(torque))
@@ -191,7 +192,7 @@ class AssistiveEnv(brax_envs.Env):
         (data, touch), _ = jax.lax.scan(substep, (data, no_touch(index)), length=control.frame_skip)
         # sense
         data = mjx.kinematics(model, data)
-        sensed = sense(index, data, touch, control.frame_skip, episode.person.dims)
+        sensed = self._sense(model, data, touch, control.frame_skip, episode)
         # task
         task, events = self.task.advance(state.task, sensed)
         rewards = self.task.rewards(task, events, sensed, action)
@@ -221,18 +222,19 @@ class AssistiveEnv(brax_envs.Env):
         self, data: Any, rng: Array, where: Array | None = None, old: State | None = None
     ) -> State:
         """Write a new episode into ``data``; with ``where`` and ``old``, only where it holds."""
-        index = self.scene.index
-        key_person, key_place, key_task, key = jax.random.split(rng, 4)
-        spec = self.task.person
+        index, spec, moving = self.scene.index, self.task.person, self.scene.moving
+        key_person, key_pose, key_place, key_task, key = jax.random.split(rng, 5)
         person = draw.draw_person(
-            key_person, self.people, len(spec.joints), spec.tremor_amplitude, spec.impairments
+            key_person, self.people, len(moving), spec.tremor_amplitude, spec.impairments
         )
+        pose = person_pose.draw_pose(key_pose, spec, person)
+        rows = person_pose.rows(spec, pose, person.dims, moving, person.limit_scale, jnp)
+        per_link = [k for k in rows._fields if not k.startswith("jnt")]
+        rows = rows._replace(**{k: getattr(rows, k)[index.person_row] for k in per_link})
         row = jax.random.randint(key_place, (), 0, self._bank.arm_angles.shape[0])
         placement = jax.tree.map(lambda x: jnp.asarray(x)[row], self._bank)
-        low, high = body.joint_limits(spec.joints, person.limit_scale).T
-        angles = jnp.array([spec.pose.get(j, 0.0) for j in spec.joints], jnp.float32)
-        angles = jnp.clip(angles, low, high)
-        episode = Episode(person, placement, angles, angles, jnp.int32(0))
+        angles = person_pose.start_angles(pose, moving, person.limit_scale, jnp)
+        episode = Episode(person, pose, rows, placement, angles, angles, jnp.int32(0))
         qpos = jnp.asarray(self.scene.model.qpos0, jnp.float32)
         qpos = qpos.at[index.robot_qpos].set(placement.arm_angles).at[index.person_qpos].set(angles)
         fresh = {
@@ -244,22 +246,24 @@ class AssistiveEnv(brax_envs.Env):
         if where is not None and old is not None:
             fresh = {k: jnp.where(where, v, getattr(data, k)) for k, v in fresh.items()}
             episode = _select(where, episode, old.episode)
-        data = mjx.kinematics(self._model_of(episode), data.replace(**fresh))
-        sensed = sense(index, data, no_touch(index), 1, episode.person.dims)
+        model = self._model_of(episode)
+        data = mjx.kinematics(model, data.replace(**fresh))
+        sensed = self._sense(model, data, no_touch(index), 1, episode)
         task = self.task.init(key_task, sensed)
         obs = self._observe(task, sensed)
         zero = jnp.float32(0.0)
         if where is not None and old is not None:
             task, obs = _select(where, task, old.task), jnp.where(where, obs, old.obs)
             return _strong(old.replace(data=data, obs=obs, task=task, episode=episode))
-        rewards = dict.fromkeys(self._terms, zero)
+        _, events = self.task.advance(task, sensed)
+        terms = self.task.rewards(task, events, sensed, jnp.zeros(self.action_size))
+        rewards = dict.fromkeys(terms, zero)  # only the names: nothing of this is computed
         metrics = self._metrics(task, rewards, sensed, data, jnp.bool_(False))
         return _strong(State(data, obs, zero, zero, metrics, {}, task, episode, key))
 
     def _model_of(self, episode: Episode) -> mjx.Model:
         """The model with this episode's person and robot base in it."""
-        m, index, p = self._model, self.scene.index, episode.person
-        rows = person_rows(self.task, p.dims, p.sex, p.stature, p.girth, p.limit_scale, jnp)
+        m, index, p, rows = self._model, self.scene.index, episode.person, episode.rows
         moving = muscles.is_moving(p.tremor, self.active)
         invweight = {
             name: jnp.asarray(
@@ -268,8 +272,6 @@ class AssistiveEnv(brax_envs.Env):
             for name in ("body_invweight0", "dof_invweight0")
         }
         bodies, geoms, joints = index.person_body, index.person_geom, index.person_joint
-        per_link = [k for k in rows._fields if not k.startswith("jnt")]
-        rows = rows._replace(**{k: getattr(rows, k)[index.person_row] for k in per_link})
         return m.tree_replace({
             "body_pos": m.body_pos.at[bodies].set(rows.body_pos)
             .at[index.robot_base].set(episode.placement.base_pos),
@@ -284,7 +286,7 @@ class AssistiveEnv(brax_envs.Env):
             "jnt_pos": m.jnt_pos.at[joints].set(rows.jnt_pos),
             "jnt_range": m.jnt_range.at[joints].set(rows.jnt_range),
             "dof_damping": m.dof_damping.at[index.person_dof].set(
-                muscles.damping(self.task.person, p.strength, moving)
+                muscles.damping(self._driven, p.strength, moving)
             ),
             **invweight,
         })  # fmt: skip
@@ -299,7 +301,7 @@ class AssistiveEnv(brax_envs.Env):
         trembles = jnp.any(episode.person.tremor != 0.0)
         target = episode.person_target
         if self.active:
-            low, high = body.joint_limits(self.task.person.joints, episode.person.limit_scale).T
+            low, high = body.joint_limits(self.scene.moving, episode.person.limit_scale).T
             start = jnp.where(trembles, target, q)
             target = jnp.clip(start + self.task.control.action_scale * action, low, high)
         sign = jnp.where(episode.step % 2 == 0, -1.0, 1.0)
@@ -307,7 +309,7 @@ class AssistiveEnv(brax_envs.Env):
 
     def _limit_torque(self, q: Array, v: Array) -> Array:
         """Pose-dependent limits of the arm [N m] (n_person,)."""
-        names = self.task.person.joints
+        names = self.scene.moving
         torque = jnp.zeros_like(q)
         for side in ("right", "left"):
             arm = [f"{side[0]}_{j}" for j in ("shoulder_y", "shoulder_x", "shoulder_z", "elbow_x")]
@@ -320,6 +322,10 @@ class AssistiveEnv(brax_envs.Env):
                 )
         return torque
 
+    def _sense(self, model: Any, data: Any, touch: Any, n_steps: int, episode: Episode) -> Sensed:
+        dims, index = episode.person.dims, self.scene.index
+        return sense(index, data, touch, n_steps, dims, model.geom_size)
+
     def _observe(self, task: Any, sensed: Sensed) -> Array:
         robot, person = self.task.observe(task, sensed)
         records = [robot, person] if self.active else [robot]
@@ -329,10 +335,10 @@ class AssistiveEnv(brax_envs.Env):
         clean = lambda x: jnp.where(bad, 0.0, x).astype(jnp.float32)  # noqa: E731
         return {
             **{f"reward/{k}": v for k, v in rewards.items()},
-            "force/on_person": clean(sensed.tool_on_person + sensed.robot_on_person),
+            "force/on_person": clean(sensed.force_on_person),
             "force/tool_on_person": clean(sensed.tool_on_person),
             "force/robot_on_person": clean(sensed.robot_on_person),
-            "force/tool": clean(sensed.tool_force),
+            "force/tool": clean(sum(t.force for t in sensed.tools)),
             "success": clean(self.task.success(task)),
             "nan": bad.astype(jnp.float32),
             "overflow": self._overflow(data),
@@ -343,33 +349,6 @@ class AssistiveEnv(brax_envs.Env):
         if self.impl != "warp":
             return jnp.float32(0.0)
         return ((data._impl.overflow & WARP_LOST) != 0).any().astype(jnp.float32)
-
-    def _reward_terms(self) -> list[str]:
-        """Names of the reward terms, without running anything."""
-
-        def terms() -> dict:
-            n = {
-                k: len(v)
-                for k, v in (("arm", self.scene.arm.joints), ("p", self.task.person.joints))
-            }
-            zero = jnp.float32(0.0)
-            touches = len(self.scene.index.tool_person)
-            vectors = {
-                "tool_quat_w": 4, "arm_angles": n["arm"], "person_angles": n["p"],
-                "touch_force": touches,
-            }  # fmt: skip
-            shapes = {
-                f.name: jnp.zeros(vectors[f.name]) if f.name in vectors
-                else jnp.zeros((touches, 3)) if f.name == "touch_pos_w"
-                else jnp.eye(3) if "_rot_" in f.name
-                else jnp.zeros(3) if f.name.endswith(("pos_w", "vel_w")) else zero
-                for f in dataclasses.fields(Sensed)
-            }  # fmt: skip
-            sensed = Sensed(**shapes)
-            task, events = self.task.advance(self.task.init(jax.random.PRNGKey(0), sensed), sensed)
-            return self.task.rewards(task, events, sensed, jnp.zeros(self.action_size))
-
-        return list(jax.eval_shape(terms))
 
     def _checked(self, action: Array) -> Array:
         action = jnp.asarray(action, jnp.float32)
@@ -395,9 +374,10 @@ class AssistiveEnv(brax_envs.Env):
         p, place = state.episode.person, state.episode.placement
         (x, y, z), (qw, qx, qy, qz) = place.base_pos.tolist(), place.base_quat.tolist()
         base = Pose((x, y, z), (qw, qx, qy, qz))
+        pose = jax.tree.map(np.asarray, state.episode.pose)
         model = compose(
-            self.task, self.robot, float(p.sex), float(p.stature), float(p.girth),
-            float(p.limit_scale), base, visual=True,
+            self.task, self.robot, self.active, float(p.sex), float(p.stature), float(p.girth),
+            float(p.limit_scale), pose, base, visual=True,
         )  # fmt: skip
         data = mujoco.MjData(model)
         self.write_mujoco(state, data, model)
@@ -410,8 +390,13 @@ class AssistiveEnv(brax_envs.Env):
         mujoco.mj_forward(model, data)
 
     def markers(self, state: State) -> list[Any]:
-        """What the task draws into pictures: positions, radii, colours."""
-        return self.task.markers(state.task)
+        """What the task draws into pictures: positions (3,), radii, colours; one world's."""
+        return [
+            (pos, radius, colour)
+            for places, radius, colour in self.task.markers(state.task)
+            for pos in np.atleast_2d(np.asarray(places))
+            if np.all(np.isfinite(pos))
+        ]
 
 
 def _strong(tree: Any) -> Any:

@@ -60,3 +60,7 @@ class SpecError(AgymError, ValueError):
 
 class MissingPlacementError(AgymError, FileNotFoundError):
     """A task-robot pair without a bank of start poses."""
+
+
+class MissingPostureError(AgymError, FileNotFoundError):
+    """A task on the bed without its bank of people who lie there, or with a damaged one."""

@@ -7,3 +7,9 @@ WHEELCHAIR = SeatSpec(
     model="furniture/wheelchair.xml",
     geoms=("armrest_right_inner_collision", "armrest_right_outer_collision"),
 )
+
+BED = SeatSpec(
+    name="bed",
+    model="furniture/bed.xml",
+    geoms=("mattress_collision", "skirt_collision"),
+)

@@ -8,35 +8,43 @@ import numpy as np
 
 
 @dataclass(frozen=True)
+class ToolIndex:
+    """Where one tool (or, for tasks without one, the bare hand) is."""
+
+    body: int  # body id that the tool is part of
+    quat: np.ndarray  # of the tool in that body, wxyz, float                   (4,)
+    tip: int  # site id of the tool's position
+    geoms: np.ndarray  # collision geom ids: capsules and spheres               (n_geoms,)
+    joints: np.ndarray  # joint ids of the arm that moves it                    (n,)
+    dofs: np.ndarray  # their dof addresses                                     (n,)
+    # sensordata addresses of contact sensors, Index.TOUCH numbers each
+    on_person: np.ndarray  # against the person                                 (n_touch,)
+    working: np.ndarray  # whether that is the working part, float              (n_touch,)
+    on_seat: np.ndarray  # against furniture                                    (n,)
+
+
+@dataclass(frozen=True)
 class Index:
     """Where things are in ``mjx.Model`` and ``mjx.Data``. All arrays are int32 NumPy arrays.
 
     Rows of the person's arrays are the links that the physics model has; those of the joints follow
-    the action.
+    the action, as those of the robot's arms do.
     """
 
-    robot_joint: np.ndarray  # joint ids of the arm in use                    (n_arm,)
+    robot_joint: np.ndarray  # joint ids of the arms in use                   (n_arm,)
     robot_qpos: np.ndarray  # qpos addresses                                  (n_arm,)
     robot_dof: np.ndarray  # dof addresses                                    (n_arm,)
     robot_ctrl: np.ndarray  # actuator ids                                    (n_arm,)
     robot_base: int  # body id that a placement moves
-    person_joint: np.ndarray  # joint ids of the controllable joints          (n_person,)
+    torso_site: int  # the robot's reference point
+    tools: tuple[ToolIndex, ...]  # one for each arm
+    robot_person: np.ndarray  # sensors: robot links against the person       (n,)
+    person_joint: np.ndarray  # joint ids of the moving joints                (n_person,)
     person_qpos: np.ndarray  # qpos addresses                                 (n_person,)
     person_dof: np.ndarray  # dof addresses                                   (n_person,)
+    links: tuple[str, ...]  # the person's links in the model, in row order
     person_row: np.ndarray  # rows of person.body.LINKS                       (n_links,)
     person_body: np.ndarray  # body ids                                       (n_links,)
-    person_geom: np.ndarray  # collision geom ids                             (n_links,)
-    tool_body: int  # body id that the tool is part of
-    tool_quat: np.ndarray  # of the tool in that body, wxyz, float              (4,)
-    tip_site: int  # the tool's position
-    torso_site: int  # the robot's reference point
-    chest_body: int
-    upper_arm_body: int  # of the arm that is helped; its origin is the shoulder
-    forearm_body: int  # its origin is the elbow
-    hand_body: int  # its origin is the wrist
-    # sensordata addresses of contact sensors, TOUCH numbers each: force [N] (3), position [m] (3)
-    tool_person: np.ndarray  # working part and handle against the person     (n_touch,)
-    tool_seat: np.ndarray  # against furniture                                (n,)
-    robot_person: np.ndarray  # robot links against the person                (n,)
+    person_geom: np.ndarray  # collision geom ids: capsules and spheres       (n_links,)
 
-    TOUCH = 6
+    TOUCH = 6  # numbers of a contact sensor: force [N] (3), position [m] (3)

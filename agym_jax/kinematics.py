@@ -138,7 +138,13 @@ def rotation_error(rot: Array, goal: Array) -> Array:
 
 
 def inverse(
-    chain: Chain, start: Array, pos: Array, rot: Array, steps: int = 60, damping: float = 1e-3
+    chain: Chain,
+    start: Array,
+    pos: Array,
+    rot: Array,
+    steps: int = 60,
+    damping: float = 1e-3,
+    weight: Array | float = 0.3,
 ) -> tuple[Array, Array, Array]:
     """Damped least squares towards one pose, clipped to the joint limits at every step.
 
@@ -149,6 +155,7 @@ def inverse(
         rot: of the tip, rotation matrix (3, 3).
         steps: iterations.
         damping: of the least squares.
+        weight: of a radian beside a metre; 0 leaves the orientation free.
 
     Returns:
         angles [rad] (n,), remaining distance [m] (), remaining rotation [rad] ().
@@ -156,18 +163,18 @@ def inverse(
 
     def error(angles: Array) -> tuple[Array, Array]:
         tip, tip_rot, jacobian = forward(chain, angles)
-        return jnp.concatenate([pos - tip, 0.3 * rotation_error(tip_rot, rot)]), jacobian
+        return jnp.concatenate([pos - tip, rotation_error(tip_rot, rot)]), jacobian
 
     def step(angles: Array, _: None) -> tuple[Array, None]:
         e, j = error(angles)
-        j = j.at[3:].multiply(0.3)
+        e, j = e.at[3:].multiply(weight), j.at[3:].multiply(weight)
         delta = j.T @ jnp.linalg.solve(j @ j.T + damping * jnp.eye(6), e)
         delta = delta * jnp.minimum(1.0, 0.5 / (jnp.max(jnp.abs(delta)) + 1e-9))
         return jnp.clip(angles + delta, chain.lower, chain.upper), None
 
     angles, _ = jax.lax.scan(step, start, length=steps)
     e, _ = error(angles)
-    return angles, jnp.linalg.norm(e[:3]), jnp.linalg.norm(e[3:]) / 0.3
+    return angles, jnp.linalg.norm(e[:3]), jnp.linalg.norm(e[3:])
 
 
 def isotropy(chain: Chain, angles: Array) -> Array:

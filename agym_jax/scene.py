@@ -1,12 +1,13 @@
 """(task, robot, person) -> MuJoCo model and Index: the only reader of names.
 
-Parts are composed with ``MjSpec.attach`` under the prefixes ``robot/``, ``tool/``, ``person/``,
-``seat/`` and ``mount/``. The physics model is lean: no visual geoms, hinges only where something
-moves. The same function with ``visual=True`` gives the model that people look at.
+Parts are composed with ``MjSpec.attach`` under the prefixes ``robot/``, ``tool/`` (and ``tool2/`` in
+a second hand), ``person/``, ``seat/`` and ``mount/``. The physics model is lean: no visual geoms,
+hinges only where something moves. The same function with ``visual=True`` gives the model that
+people look at, with ``solid=True`` the one in which everything has its collision shape.
 
 DEVIATION(contacts): contact is simulated between named primitives only: tool, hand, wrist and forearm
-of the robot, the person's arm, torso, head and right thigh, and the right armrest. The robot does not
-collide with itself or with the rest of the wheelchair; AG uses convex meshes of everything.
+of the robot, the limbs that a task names, and the right armrest or the mattress. The robot does not
+collide with itself or with the rest of the furniture; AG uses convex meshes of everything.
 DEVIATION(hard-limits): human joint limits are MuJoCo's limit constraints; AG resets the joint.
 """
 
@@ -21,10 +22,11 @@ import numpy as np
 
 from agym_jax.assets import asset_path
 from agym_jax.errors import SpecError, UnknownNameError, did_you_mean
-from agym_jax.index import Index
+from agym_jax.index import Index, ToolIndex
 from agym_jax.person import anthropometry, body
+from agym_jax.person import pose as person_pose
 from agym_jax.person.model import build as build_person
-from agym_jax.spec import Arm, Pose, RobotSpec, Task
+from agym_jax.spec import Arm, Pose, RobotSpec, Task, ToolSpec
 
 ITERATIONS, LS_ITERATIONS = 4, 8
 """Newton iterations and line-search steps of the JAX implementation. ``tests/test_parity.py`` compares a
@@ -37,7 +39,8 @@ SKIN_SOLIMP = (0.7, 0.95, 0.01, 0.5, 2.0)
 FRICTION = 0.5  # AG: lateral friction of person, tool and furniture
 SELF_CONTACTS = (
     ("upper_arm", "chest"), ("forearm", "chest"), ("forearm", "waist"), ("forearm", "thigh"),
-    ("hand", "chest"), ("hand", "thigh"), ("hand", "head"),
+    ("forearm", "hips"), ("hand", "chest"), ("hand", "waist"), ("hand", "hips"), ("hand", "thigh"),
+    ("hand", "head"),
 )  # fmt: skip
 """Of the person's moving arm with the rest of the body (AG's self-collision mask, the near ones)."""
 
@@ -50,90 +53,106 @@ class Scene:
         model: MuJoCo model of an average man.
         female: the same for an average woman: invweights are interpolated between the two.
         index: where things are.
-        arm: of the robot in use.
+        arms: of the robot, those in use, in action order.
+        moving: joints of the person that are hinges, in action order.
     """
 
     model: mujoco.MjModel
     female: mujoco.MjModel
     index: Index
-    arm: Arm
+    arms: tuple[Arm, ...]
+    moving: tuple[str, ...]
 
 
 @cache
-def build_scene(task: Task, robot: RobotSpec) -> Scene:
+def build_scene(task: Task, robot: RobotSpec, active: bool = False) -> Scene:
     """Compile the scene of a task-robot pair; the result is shared, do not write into it."""
-    male = compose(task, robot, sex=0.0)
+    male = compose(task, robot, active)
+    moving = task.person.moving(active)
     return Scene(
-        male, compose(task, robot, sex=1.0), _index(male, task, robot), robot.arm(task.arm)
-    )
+        male, compose(task, robot, active, sex=1.0), _index(male, task, robot, moving),
+        robot.arms_for(task), moving,
+    )  # fmt: skip
 
 
 def compose(
     task: Task,
     robot: RobotSpec,
+    active: bool = False,
     sex: float = 0.0,
     stature: float = 1.0,
     girth: float = 1.0,
     limit_scale: float = 1.0,
+    pose: person_pose.Pose | None = None,
     base: Pose | None = None,
     visual: bool = False,
+    solid: bool = False,
 ) -> mujoco.MjModel:
     """Compile one person's scene.
 
     Args:
         task: of the scene.
         robot: of the scene.
+        active: whether the person acts.
         sex: see ``anthropometry.dims``.
         stature: see there.
         girth: see there.
         limit_scale: of the person's impairment.
+        pose: the person's, if not the task's typical one.
         base: the robot's, if not the one fixed to the seat.
         visual: with lights, cameras, floor and the geoms that people look at.
+        solid: with every collision geom and link, not only those that may touch in physics.
 
     Raises:
         SpecError: robot, tool or seat lacks a name that the scene needs.
     """
-    arm = robot.arm(task.arm)
+    arms, moving = robot.arms_for(task), task.person.moving(active)
     spec = _load("scene.xml") if visual else mujoco.MjSpec()
     spec.modelname = f"{task.name}{robot.name}"
     _set_options(spec, task)
-    base = base or robot.bases.get(task.seat.name) or Pose()
+    fixed_base = robot.fixed_base(task)
+    base = base or fixed_base or Pose()
     robot_spec = _load(robot.model)
-    _check_names(robot_spec, robot, arm)
-    _close_gripper(robot_spec, arm, robot.gripper_opening.get(task.tool.name, 0.0))
+    for arm in arms:
+        _check_names(robot_spec, robot, arm)
+    _weld_the_rest(robot_spec, robot, task, arms)
     robot_root = robot_spec.worldbody.first_body().name
     _attach(spec, robot_spec, base, "robot/")
-    _hold(spec, arm, robot, task)
+    if task.tool is not None:
+        for prefix, arm in zip(tool_prefixes(task, arms), arms, strict=True):
+            _hold(spec, arm, robot, task.tool, prefix)
     for b in spec.bodies:
-        if b.name.startswith(("robot/", "tool/")):
+        if b.name.startswith(("robot/", "tool")):
             b.gravcomp = 1.0  # AG switches gravity off for robot and tool
     _attach(spec, _load(task.seat.model), Pose(), "seat/")
-    if visual and task.seat.name in robot.mounts:
-        _attach(spec, _load(robot.mounts[task.seat.name]), Pose(), "mount/")
+    if (visual or solid) and task.seat.name in robot.mounts:
+        # one that belongs to the seat is drawn in the world, one that moves with the robot at its base
+        mount = Pose(base.pos) if fixed_base is None else Pose()
+        _attach(spec, _load(robot.mounts[task.seat.name]), mount, "mount/")
     d = anthropometry.dims(sex, stature, girth)
-    rows = person_rows(task, d, sex, stature, girth, limit_scale, np)
-    links = tuple(link.name for link in body.LINKS) if visual else lean_links(task)
-    _attach(spec, build_person(rows, task.person.joints, d, links, visual), Pose(), "person/")
-    _add_motors(spec, task, arm)
-    touches = contact_pairs(task, arm)
-    _add_contacts(spec, touches)
-    if not visual:
+    pose = pose or person_pose.typical(task.person, sex, stature, girth)
+    rows = person_pose.rows(task.person, pose, d, moving, limit_scale, np)
+    everything = visual or solid
+    links = tuple(x.name for x in body.LINKS) if everything else lean_links(task, moving)
+    _attach(spec, build_person(rows, moving, d, links, visual), Pose(), "person/")
+    _add_motors(spec, task, arms)
+    _add_contacts(spec, task, contact_pairs(task, arms, moving))
+    if not everything:
         _make_lean(spec, f"robot/{robot_root}", links)
     return spec.compile()
 
 
-def person_rows(task, d, sex, stature, girth, limit_scale, xp) -> body.BodyFields:
-    """The person's rows of the model, seated for the task; NumPy or JAX."""
-    height = anthropometry.sitting_height(d, sex, stature, girth)
-    # AG human_creation.py / task resets: chest at (0, 0.03, 0.89 or 0.86)
-    root = xp.stack([xp.asarray(0.0 * height), xp.asarray(0.03 + 0.0 * height), xp.asarray(height)])
-    return body.fields(d, task.person.pose, task.person.joints, limit_scale, root, xp=xp)
+def tool_prefixes(task: Task, arms: tuple[Arm, ...]) -> tuple[str, ...]:
+    """Name prefix of the tool in each arm's hand; none for tasks without a tool."""
+    return ("tool/", "tool2/")[: len(arms)] if task.tool is not None else ()
 
 
-def lean_links(task: Task) -> tuple[str, ...]:
-    """Links of the person that the physics model needs: those that move or may be touched."""
-    free, limbs = task.person.joints, {"chest", *task.person.limbs}
-    return tuple(x.name for x in body.LINKS if body.is_free(x, free) or x.name in limbs)
+def lean_links(task: Task, moving: tuple[str, ...]) -> tuple[str, ...]:
+    """Links of the person that the physics model needs: those that move, may be touched or matter."""
+    goals = {name for arm in task.goals for name in arm}
+    limbs = {"chest", *task.person.limbs, *goals}
+    limbs |= {f"{task.person.arm}_{x}" for x in ("upper_arm", "forearm", "hand")}
+    return tuple(x.name for x in body.LINKS if body.is_free(x, moving) or x.name in limbs)
 
 
 def _make_lean(spec: mujoco.MjSpec, robot_root: str, links: tuple[str, ...]) -> None:
@@ -151,32 +170,42 @@ def _make_lean(spec: mujoco.MjSpec, robot_root: str, links: tuple[str, ...]) -> 
         spec.add_exclude(bodyname1=robot_root, bodyname2=f"person/{link}")
 
 
-def contact_pairs(task: Task, arm: Arm) -> dict[str, list[tuple[str, str]]]:
+def contact_pairs(
+    task: Task, arms: tuple[Arm, ...], moving: tuple[str, ...]
+) -> dict[str, list[tuple[str, str]]]:
     """Geom pairs that may touch, by what their force means; names with prefixes.
 
     The hand and the tool's working part may touch every limb of ``task.person.limbs``; the other
-    links and the handle the moving arm, the links also the thigh that lies beneath it.
+    links and the rest of the tool the arm that is helped, the links also the thigh beneath it.
     """
     limbs = task.person.limbs
-    moving = [x for x in limbs if x.split("_", 1)[-1] in ("upper_arm", "forearm", "hand")]
-    near = [*moving, *(x for x in limbs if x.endswith("thigh"))]
-    working, *rest = (f"tool/{g}" for g in task.tool.geoms)
-    hand, *links = (f"robot/{g}" for g in arm.links)
+    arm = [x for x in limbs if x.split("_", 1)[-1] in ("upper_arm", "forearm", "hand")]
+    near = [*arm, *(x for x in limbs if x.endswith("thigh"))]
     seat = [f"seat/{g}" for g in task.seat.geoms]
-    outer = [x for x in moving if not x.endswith("upper_arm")]
+    pairs: dict[str, list[tuple[str, str]]] = {}
+    for prefix in tool_prefixes(task, arms):
+        parts = [f"{prefix}{g}" for g in task.tool.geoms]  # pyrefly: ignore
+        working, rest = parts[: task.tool.n_working], parts[task.tool.n_working :]  # pyrefly: ignore
+        pairs[f"{prefix}person"] = [(g, f"person/{x}") for g in working for x in limbs] + [
+            (g, f"person/{x}") for g in rest for x in arm
+        ]
+        pairs[f"{prefix}seat"] = [(g, x) for g in working for x in seat]
+    pairs["robot_person"], pairs["robot_seat"] = [], []
+    for each in arms:
+        hand, *links = (f"robot/{g}" for g in each.links)
+        pairs["robot_person"] += [(hand, f"person/{x}") for x in limbs]
+        pairs["robot_person"] += [(g, f"person/{x}") for g in links for x in near]
+        pairs["robot_seat"] += [(hand, g) for g in seat]
+    free = [x for x in arm if body.is_free(body.LINK[x], moving)]
+    outer = [x for x in free if task.seat.bears_upper_arm or not x.endswith("upper_arm")]
+    pairs["person_seat"] = [(f"person/{x}", g) for x in outer for g in seat]
     side = task.person.arm
-    return {
-        "tool_person": [(working, f"person/{x}") for x in limbs]
-        + [(g, f"person/{x}") for g in rest for x in moving],
-        "tool_seat": [(working, g) for g in seat],
-        "robot_person": [(hand, f"person/{x}") for x in limbs]
-        + [(g, f"person/{x}") for g in links for x in near],
-        "person_seat": [(f"person/{x}", g) for x in outer for g in seat],
-        "person_self": [
-            (f"person/{side}_{a}", f"person/{side}_{b}" if b == "thigh" else f"person/{b}")
-            for a, b in SELF_CONTACTS
-        ],
-    }
+    pairs["person_self"] = [
+        (f"person/{side}_{a}", f"person/{side}_{b}" if b == "thigh" else f"person/{b}")
+        for a, b in SELF_CONTACTS
+        if f"{side}_{a}" in free and (f"{side}_{b}" if b == "thigh" else b) in limbs
+    ]
+    return pairs
 
 
 def _load(asset: str) -> mujoco.MjSpec:
@@ -220,28 +249,42 @@ def _check_names(spec: mujoco.MjSpec, robot: RobotSpec, arm: Arm) -> None:
                 )
 
 
-def _close_gripper(spec: mujoco.MjSpec, arm: Arm, opening: float) -> None:
-    """Weld the fingers at an opening [rad or m along the joint's axis]."""
-    for name in arm.gripper:
-        joint = spec.joint(name)
-        finger = joint.parent
-        if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
-            turn, quat = np.zeros(4), np.zeros(4)
-            mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis, float), opening)
-            mujoco.mju_mulQuat(quat, np.asarray(finger.quat, float), turn)
-            finger.quat = quat
-        else:
-            shift = np.zeros(3)
-            mujoco.mju_rotVecQuat(
-                shift, np.asarray(joint.axis, float), np.asarray(finger.quat, float)
-            )
-            finger.pos = np.asarray(finger.pos) + opening * shift
-        spec.delete(joint)
+def _weld_the_rest(
+    spec: mujoco.MjSpec, robot: RobotSpec, task: Task, arms: tuple[Arm, ...]
+) -> None:
+    """Weld every joint that the task does not move: fingers at the opening, others at rest."""
+    holds = task.tool.name if task.tool is not None else "hand"
+    opening = robot.gripper_opening.get(holds, 0.0)
+    used = {name for arm in arms for name in arm.joints}
+    fingers = {name for arm in arms for name in arm.gripper}
+    for joint in list(spec.joints):
+        if joint.name in used:
+            continue
+        angle = robot.rest.get(joint.name, 0.0)
+        if joint.name in fingers:
+            # the second finger of a parallel gripper opens the other way
+            angle = -opening if joint.range[1] <= 0.0 < joint.range[1] - joint.range[0] else opening
+        _weld(spec, joint, angle)
 
 
-def _hold(spec: mujoco.MjSpec, arm: Arm, robot: RobotSpec, task: Task) -> None:
-    """Attach the tool rigidly to the hand."""
-    grasp = robot.grasps.get(task.tool.name, task.tool.grasp)
+def _weld(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:
+    """Fix a joint at an angle [rad], or a shift [m] along its axis. Its anchor must be the origin."""
+    child = joint.parent
+    if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+        turn, quat = np.zeros(4), np.zeros(4)
+        mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis, float), angle)
+        mujoco.mju_mulQuat(quat, np.asarray(child.quat, float), turn)
+        child.quat = quat
+    else:
+        shift = np.zeros(3)
+        mujoco.mju_rotVecQuat(shift, np.asarray(joint.axis, float), np.asarray(child.quat, float))
+        child.pos = np.asarray(child.pos) + angle * shift
+    spec.delete(joint)
+
+
+def _hold(spec: mujoco.MjSpec, arm: Arm, robot: RobotSpec, tool: ToolSpec, prefix: str) -> None:
+    """Attach a tool rigidly to a hand."""
+    grasp = robot.grasps.get(tool.name, tool.grasp)
     site = spec.site(f"robot/{arm.tool_frame}")
     pos, quat = np.zeros(3), np.zeros(4)
     mujoco.mju_mulPose(
@@ -249,30 +292,33 @@ def _hold(spec: mujoco.MjSpec, arm: Arm, robot: RobotSpec, task: Task) -> None:
         np.asarray(grasp.pos, float), np.asarray(grasp.quat, float),
     )  # fmt: skip
     frame = site.parent.add_frame(pos=pos, quat=quat)
-    spec.attach(_load(task.tool.model), frame=frame, prefix="tool/")
+    spec.attach(_load(tool.model), frame=frame, prefix=prefix)
 
 
-def _add_motors(spec: mujoco.MjSpec, task: Task, arm: Arm) -> None:
+def _add_motors(spec: mujoco.MjSpec, task: Task, arms: tuple[Arm, ...]) -> None:
     c = task.control
-    for name in arm.joints:
+    for name in (name for arm in arms for name in arm.joints):
         motor = spec.add_actuator(
             name=name, target=f"robot/{name}", trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
         motor.set_to_position(kp=c.stiffness, kv=c.damping)
 
 
-def _add_contacts(spec: mujoco.MjSpec, touches: dict[str, list[tuple[str, str]]]) -> None:
+def _add_contacts(
+    spec: mujoco.MjSpec, task: Task, touches: dict[str, list[tuple[str, str]]]
+) -> None:
     bits = (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)) | (
         1 << int(mujoco.mjtConDataField.mjCONDATA_POS)
     )
     for kind, pairs in touches.items():
+        friction = task.seat.friction if kind == "person_seat" else FRICTION
         for a, b in pairs:
             spec.add_pair(
                 name=f"{a}|{b}", geomname1=a, geomname2=b, condim=3,
-                friction=[FRICTION, FRICTION, 0.005, 0.0001, 0.0001],
+                friction=[friction, friction, 0.005, 0.0001, 0.0001],
                 solref=SKIN_SOLREF, solimp=SKIN_SOLIMP,
             )  # fmt: skip
-            if kind in ("tool_person", "tool_seat", "robot_person"):
+            if is_sensed(kind):
                 spec.add_sensor(
                     name=f"{kind}|{a}|{b}", type=mujoco.mjtSensor.mjSENS_CONTACT,
                     objtype=mujoco.mjtObj.mjOBJ_GEOM, objname=a,
@@ -281,7 +327,12 @@ def _add_contacts(spec: mujoco.MjSpec, touches: dict[str, list[tuple[str, str]]]
                 )  # fmt: skip
 
 
-def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec) -> Index:
+def is_sensed(kind: str) -> bool:
+    """Whether pairs of this kind carry a contact sensor."""
+    return kind.startswith(("tool", "robot_person"))
+
+
+def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[str, ...]) -> Index:
     def ids(kind: mujoco.mjtObj, names) -> np.ndarray:
         found = [mujoco.mj_name2id(model, kind, n) for n in names]
         for name, i in zip(names, found, strict=True):
@@ -292,43 +343,63 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec) -> Index:
         return np.array(found, np.int32)
 
     o = mujoco.mjtObj
-    arm = robot.arm(task.arm)
-    robot_joint = ids(o.mjOBJ_JOINT, [f"robot/{n}" for n in arm.joints])
-    person_joint = ids(o.mjOBJ_JOINT, [f"person/{n}" for n in task.person.joints])
-    lean = lean_links(task)
-    links = [f"person/{name}" for name in lean]
-    limb = [f"person/{task.person.arm}_{x}" for x in ("upper_arm", "forearm", "hand")]
-    upper, fore, hand = ids(o.mjOBJ_BODY, limb)
-    tip = ids(o.mjOBJ_SITE, [f"tool/{task.tool.tip}"])[0]
-    adr = {
-        kind: model.sensor_adr[ids(o.mjOBJ_SENSOR, [f"{kind}|{a}|{b}" for a, b in pairs])]
-        for kind, pairs in contact_pairs(task, arm).items()
-        if kind in ("tool_person", "tool_seat", "robot_person")
+    arms = robot.arms_for(task)
+    pairs = contact_pairs(task, arms, moving)
+    sensors = {
+        kind: model.sensor_adr[ids(o.mjOBJ_SENSOR, [f"{kind}|{a}|{b}" for a, b in named])].astype(
+            np.int32
+        )
+        for kind, named in pairs.items()
+        if is_sensed(kind)
     }
-    base = model.site_bodyid[ids(o.mjOBJ_SITE, [f"robot/{robot.torso}"])[0]]
+
+    def tool_index(i: int, arm: Arm) -> ToolIndex:
+        joints = ids(o.mjOBJ_JOINT, [f"robot/{n}" for n in arm.joints])
+        empty = np.zeros(0, np.int32)
+        if task.tool is None:
+            tip = ids(o.mjOBJ_SITE, [f"robot/{arm.end_effector}"])[0]
+            geoms = ids(o.mjOBJ_GEOM, [f"robot/{arm.links[0]}"])
+            on_person, on_seat, working = empty, empty, np.zeros(0, np.float32)
+        else:
+            prefix = tool_prefixes(task, arms)[i]
+            tip = ids(o.mjOBJ_SITE, [f"{prefix}{task.tool.tip}"])[0]
+            geoms = ids(o.mjOBJ_GEOM, [f"{prefix}{g}" for g in task.tool.geoms])
+            on_person, on_seat = sensors[f"{prefix}person"], sensors[f"{prefix}seat"]
+            parts = {f"{prefix}{g}" for g in task.tool.geoms[: task.tool.n_working]}
+            working = np.array([a in parts for a, _ in pairs[f"{prefix}person"]], np.float32)
+        return ToolIndex(
+            body=int(model.site_bodyid[tip]),
+            quat=model.site_quat[tip].astype(np.float32),
+            tip=int(tip),
+            geoms=geoms,
+            joints=joints,
+            dofs=model.jnt_dofadr[joints],
+            on_person=on_person,
+            working=working,
+            on_seat=on_seat,
+        )
+
+    robot_joint = ids(o.mjOBJ_JOINT, [f"robot/{n}" for arm in arms for n in arm.joints])
+    person_joint = ids(o.mjOBJ_JOINT, [f"person/{n}" for n in moving])
+    lean = lean_links(task, moving)
+    links = [f"person/{name}" for name in lean]
+    torso = int(ids(o.mjOBJ_SITE, [f"robot/{robot.torso}"])[0])
     return Index(
         robot_joint=robot_joint,
         robot_qpos=model.jnt_qposadr[robot_joint],
         robot_dof=model.jnt_dofadr[robot_joint],
-        robot_ctrl=ids(o.mjOBJ_ACTUATOR, arm.joints),
-        robot_base=int(model.body_rootid[base]),
+        robot_ctrl=ids(o.mjOBJ_ACTUATOR, [n for arm in arms for n in arm.joints]),
+        robot_base=int(model.body_rootid[model.site_bodyid[torso]]),
+        torso_site=torso,
+        tools=tuple(tool_index(i, arm) for i, arm in enumerate(arms)),
+        robot_person=sensors["robot_person"],
         person_joint=person_joint,
         person_qpos=model.jnt_qposadr[person_joint],
         person_dof=model.jnt_dofadr[person_joint],
+        links=lean,
         person_row=np.array([i for i, x in enumerate(body.LINKS) if x.name in lean], np.int32),
         person_body=ids(o.mjOBJ_BODY, links),
         person_geom=ids(o.mjOBJ_GEOM, links),
-        tool_body=int(model.site_bodyid[tip]),
-        tool_quat=model.site_quat[tip].astype(np.float32),
-        tip_site=int(tip),
-        torso_site=int(ids(o.mjOBJ_SITE, [f"robot/{robot.torso}"])[0]),
-        chest_body=int(ids(o.mjOBJ_BODY, ["person/chest"])[0]),
-        upper_arm_body=int(upper),
-        forearm_body=int(fore),
-        hand_body=int(hand),
-        tool_person=adr["tool_person"],
-        tool_seat=adr["tool_seat"],
-        robot_person=adr["robot_person"],
     )
 
 

@@ -3,7 +3,7 @@
 Works on one world of ``mjx.Data`` and, because the field names are the same, on C ``MjData``.
 Forces are normal forces of contact sensors, averaged over the physics steps of a control step.
 
-DEVIATION(force-mean): contact forces are means over the five physics steps of a control step, not
+DEVIATION(force-mean): contact forces are means over the physics steps of a control step, not
 the last one's value: a single step's is noisy.
 """
 
@@ -16,8 +16,19 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from agym_jax.index import Index
+from agym_jax.geometry import capsule_gap
+from agym_jax.index import Index, ToolIndex
 from agym_jax.person.anthropometry import Dims
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ToolTouch:
+    """Sums of one tool's contact sensors over physics steps."""
+
+    force: Array  # normal force of each tool-person pair [N]               (n_touch,)
+    moment: Array  # force times contact point [N m]                        (n_touch, 3)
+    seat: Array  # [N]                                                      ()
 
 
 @jax.tree_util.register_dataclass
@@ -25,10 +36,24 @@ from agym_jax.person.anthropometry import Dims
 class Touch:
     """Sums of the contact sensors over physics steps."""
 
-    tool_person: Array  # normal force of each tool-person pair [N]         (n_touch,)
-    tool_person_moment: Array  # force times contact point [N m]            (n_touch, 3)
-    tool_seat: Array  # [N]                                                 ()
+    tools: tuple[ToolTouch, ...]
     robot_person: Array  # [N]                                              ()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ToolSensed:
+    """One tool (the bare hand, in tasks without one), in world coordinates."""
+
+    pos_w: Array  # tip of the tool [m]                                     (3,)
+    quat_w: Array  # wxyz                                                   (4,)
+    vel_w: Array  # linear velocity of the tip [m/s]                        (3,)
+    gap: Array  # least distance of the tool to the person [m]              ()
+    touch_force: Array  # normal force of each tool-person contact [N]      (n_touch,)
+    touch_pos_w: Array  # where; the origin when there is none [m]          (n_touch, 3)
+    touch_working: Array  # 1 where the tool's working part touches         (n_touch,)
+    on_person: Array  # sum [N]                                             ()
+    force: Array  # all contacts of the tool [N]                            ()
 
 
 @jax.tree_util.register_dataclass
@@ -36,33 +61,49 @@ class Touch:
 class Sensed:
     """One control step, in world coordinates; everything a task may know."""
 
-    tool_pos_w: Array  # tip of the tool [m]                                 (3,)
-    tool_quat_w: Array  # wxyz                                               (4,)
-    tool_vel_w: Array  # linear velocity of the tip [m/s]                    (3,)
-    arm_angles: Array  # of the robot [rad]                                  (n_arm,)
-    torso_pos_w: Array  # reference point of the robot [m]                   (3,)
-    person_angles: Array  # of the controllable joints [rad]                 (n_person,)
-    person_pos_w: Array  # chest [m]                                         (3,)
-    shoulder_pos_w: Array  # of the arm that is helped [m]                   (3,)
-    elbow_pos_w: Array  # [m]                                                (3,)
-    wrist_pos_w: Array  # [m]                                                (3,)
-    upper_arm_rot_w: Array  # rotation matrix                                (3, 3)
-    forearm_rot_w: Array  # rotation matrix                                  (3, 3)
-    upper_arm_length: Array  # [m]                                           ()
-    upper_arm_radius: Array  # [m]                                           ()
-    forearm_length: Array  # [m]                                             ()
-    forearm_radius: Array  # [m]                                             ()
-    touch_force: Array  # normal force of each tool-person contact [N]       (n_touch,)
-    touch_pos_w: Array  # where; the origin when there is none [m]           (n_touch, 3)
-    tool_on_person: Array  # sum [N]                                         ()
-    robot_on_person: Array  # links of the robot on the person [N]           ()
-    tool_force: Array  # all contacts of the tool [N]                        ()
+    tools: tuple[ToolSensed, ...]  # one for each arm, in action order
+    arm_angles: Array  # of the robot's arms [rad]                          (n_arm,)
+    torso_pos_w: Array  # reference point of the robot [m]                  (3,)
+    robot_on_person: Array  # links of the robot on the person [N]          ()
+    person_angles: Array  # of the moving joints [rad]                      (n_person,)
+    link_pos_w: dict[str, Array]  # link -> its (last) joint [m]            (3,)
+    link_rot_w: dict[str, Array]  # link -> rotation matrix                 (3, 3)
+    link_quat_w: dict[str, Array]  # link -> the same, wxyz                 (4,)
+    dims: Dims  # sizes of the person
+
+    @property
+    def tool(self) -> ToolSensed:
+        """The first, and mostly only, tool."""
+        return self.tools[0]
+
+    @property
+    def tool_on_person(self) -> Array:
+        """Normal force of all tools on the person [N] ()."""
+        return sum(t.on_person for t in self.tools)
+
+    @property
+    def force_on_person(self) -> Array:
+        """Normal force of robot and tools on the person [N] ()."""
+        return self.tool_on_person + self.robot_on_person
+
+    @property
+    def person_pos_w(self) -> Array:
+        """The chest [m] (3,)."""
+        return self.link_pos_w["chest"]
+
+    @property
+    def mouth_pos_w(self) -> Array:
+        """Just before the lips [m] (3,). AG feeding.py: (0, -0.11 or -0.10, 0.03) in the head."""
+        zero = jnp.zeros_like(self.dims.mouth_y)
+        local = jnp.stack([zero, self.dims.mouth_y, self.dims.mouth_z])
+        return self.link_pos_w["head"] + self.link_rot_w["head"] @ local
 
 
 def no_touch(index: Index) -> Touch:
     """The empty sum."""
-    n = len(index.tool_person)
-    return Touch(jnp.zeros(n), jnp.zeros((n, 3)), jnp.float32(0.0), jnp.float32(0.0))
+    zero = jnp.float32(0.0)
+    counts = [len(t.on_person) for t in index.tools]
+    return Touch(tuple(ToolTouch(jnp.zeros(n), jnp.zeros((n, 3)), zero) for n in counts), zero)
 
 
 def add_touch(index: Index, touch: Touch, sensordata: Array) -> Touch:
@@ -73,17 +114,23 @@ def add_touch(index: Index, touch: Touch, sensordata: Array) -> Touch:
         touch: the sum so far.
         sensordata: of ``Data`` (nsensordata,).
     """
-    force = jnp.abs(sensordata[index.tool_person])
-    pos = sensordata[index.tool_person[:, None] + jnp.arange(3, 6)]
+
+    def add(tool: ToolIndex, t: ToolTouch) -> ToolTouch:
+        force = jnp.abs(sensordata[tool.on_person])
+        pos = sensordata[tool.on_person[:, None] + jnp.arange(3, 6)]
+        return ToolTouch(
+            force=t.force + force,
+            moment=t.moment + force[:, None] * pos,
+            seat=t.seat + jnp.sum(jnp.abs(sensordata[tool.on_seat])),
+        )
+
     return Touch(
-        tool_person=touch.tool_person + force,
-        tool_person_moment=touch.tool_person_moment + force[:, None] * pos,
-        tool_seat=touch.tool_seat + jnp.sum(jnp.abs(sensordata[index.tool_seat])),
+        tools=tuple(add(i, t) for i, t in zip(index.tools, touch.tools, strict=True)),
         robot_person=touch.robot_person + jnp.sum(jnp.abs(sensordata[index.robot_person])),
     )
 
 
-def sense(index: Index, data: Any, touch: Touch, n_steps: int, dims: Dims) -> Sensed:
+def sense(index: Index, data: Any, touch: Touch, n_steps: int, dims: Dims, sizes: Any) -> Sensed:
     """Read one world.
 
     Args:
@@ -92,38 +139,49 @@ def sense(index: Index, data: Any, touch: Touch, n_steps: int, dims: Dims) -> Se
         touch: sums over the control step.
         n_steps: physics steps in those sums.
         dims: sizes of the person.
+        sizes: geom sizes of the model (ngeom, 3), the person's own in their rows.
     """
-    tip = jnp.asarray(data.site_xpos)[index.tip_site]
-    axis = jnp.asarray(data.xaxis)[index.robot_joint]
-    anchor = jnp.asarray(data.xanchor)[index.robot_joint]
-    speed = jnp.asarray(data.qvel)[index.robot_dof]
     xpos, xmat = jnp.asarray(data.xpos), jnp.asarray(data.xmat).reshape(-1, 3, 3)
-    force = touch.tool_person / n_steps
-    has = touch.tool_person > 0
-    where = touch.tool_person_moment / jnp.where(has, touch.tool_person, 1.0)[:, None]
-    on_person = jnp.sum(force)
+    bodies = dict(zip(index.links, index.person_body, strict=True))
     return Sensed(
-        tool_pos_w=tip,
-        tool_quat_w=_quat_mul(jnp.asarray(data.xquat)[index.tool_body], index.tool_quat),
-        tool_vel_w=jnp.sum(jnp.cross(axis, tip - anchor) * speed[:, None], axis=0),
+        tools=tuple(
+            _sense_tool(index, i, data, t, n_steps, jnp.asarray(sizes))
+            for i, t in zip(index.tools, touch.tools, strict=True)
+        ),
         arm_angles=jnp.asarray(data.qpos)[index.robot_qpos],
         torso_pos_w=jnp.asarray(data.site_xpos)[index.torso_site],
+        robot_on_person=touch.robot_person / n_steps,
         person_angles=jnp.asarray(data.qpos)[index.person_qpos],
-        person_pos_w=xpos[index.chest_body],
-        shoulder_pos_w=xpos[index.upper_arm_body],
-        elbow_pos_w=xpos[index.forearm_body],
-        wrist_pos_w=xpos[index.hand_body],
-        upper_arm_rot_w=xmat[index.upper_arm_body],
-        forearm_rot_w=xmat[index.forearm_body],
-        upper_arm_length=jnp.asarray(dims.upper_arm_l),
-        upper_arm_radius=jnp.asarray(dims.upper_arm_r),
-        forearm_length=jnp.asarray(dims.forearm_l),
-        forearm_radius=jnp.asarray(dims.forearm_r),
+        link_pos_w={name: xpos[b] for name, b in bodies.items()},
+        link_rot_w={name: xmat[b] for name, b in bodies.items()},
+        link_quat_w={name: jnp.asarray(data.xquat)[b] for name, b in bodies.items()},
+        dims=dims,
+    )
+
+
+def _sense_tool(
+    index: Index, tool: ToolIndex, data: Any, touch: ToolTouch, n_steps: int, sizes: Array
+) -> ToolSensed:
+    tip = jnp.asarray(data.site_xpos)[tool.tip]
+    axis = jnp.asarray(data.xaxis)[tool.joints]
+    anchor = jnp.asarray(data.xanchor)[tool.joints]
+    speed = jnp.asarray(data.qvel)[tool.dofs]
+    centre = jnp.asarray(data.geom_xpos)
+    along = jnp.asarray(data.geom_xmat).reshape(-1, 3, 3)[:, :, 2] * sizes[:, 1:2]
+    capsule = lambda ids: (centre[ids], along[ids], sizes[ids, 0])  # noqa: E731
+    force = touch.force / n_steps
+    where = touch.moment / jnp.where(touch.force > 0, touch.force, 1.0)[:, None]
+    on_person = jnp.sum(force)
+    return ToolSensed(
+        pos_w=tip,
+        quat_w=_quat_mul(jnp.asarray(data.xquat)[tool.body], tool.quat),
+        vel_w=jnp.sum(jnp.cross(axis, tip - anchor) * speed[:, None], axis=0),
+        gap=capsule_gap(capsule(tool.geoms), capsule(index.person_geom)),
         touch_force=force,
         touch_pos_w=where,
-        tool_on_person=on_person,
-        robot_on_person=touch.robot_person / n_steps,
-        tool_force=on_person + touch.tool_seat / n_steps,
+        touch_working=jnp.asarray(tool.working),
+        on_person=on_person,
+        force=on_person + touch.seat / n_steps,
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import jax
 
@@ -81,6 +81,20 @@ class Arm:
     links: tuple[str, ...]  # collision geoms that may touch the person, hand first
 
 
+@dataclass(frozen=True)
+class BaseSearch:
+    """Where a robot's base may stand for a task: a rectangle beside the person, and a yaw.
+
+    AG v0.1 robots.md section 7: uniform within ``spread`` of the centre in y, and within ``spread``
+    of it away from the person (towards ``side`` in x), turned by up to 30 degrees.
+    """
+
+    centre: Vec3  # world [m]
+    spread: float = 0.5  # [m]
+    side: float = -1.0  # which way is away from the person along x
+    yaw: float = 0.0  # about which the base turns [rad]
+
+
 @dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
 class RobotSpec:
     """A robot: its MJCF and the names in it that a scene needs."""
@@ -91,16 +105,35 @@ class RobotSpec:
     torso: str  # site that observations are relative to
     gripper_opening: Mapping[str, float]  # tool name -> finger joint position
     grasps: Mapping[str, Pose] = field(default_factory=dict)  # tool -> pose, over the tool's own
-    bases: Mapping[str, Pose] = field(default_factory=dict)  # seat -> fixed base; else searched
+    bases: Mapping[str, Pose] = field(default_factory=dict)  # seat or task -> fixed base
     mounts: Mapping[str, str] = field(default_factory=dict)  # seat -> asset that carries the base
     rest: Mapping[str, float] = field(default_factory=dict)  # joint not in use -> angle, else 0
     start_rotations: Mapping[str, Quat] = field(default_factory=dict)  # task -> hand orientation
+    searches: Mapping[str, BaseSearch] = field(default_factory=dict)  # task -> where to look
+    base_height: float = 0.0  # of the base of a robot that stands on the floor [m]
 
     def arm(self, side: str) -> Arm:
         """The arm on one side; raises SpecError if the robot lacks it."""
         if side not in self.arms:
             raise SpecError(f"{self.name} has no {side!r} arm, only: {', '.join(self.arms)}.")
         return self.arms[side]
+
+    def arms_for(self, task: Task) -> tuple[Arm, ...]:
+        """The arms that a task uses, in action order; a one-armed robot serves with its one.
+
+        Raises:
+            SpecError: the robot lacks an arm that the task asks for.
+        """
+        arms = [self.arm(side) for side in task.arms]
+        return tuple(dict.fromkeys(arms))
+
+    def fixed_base(self, task: Task) -> Pose | None:
+        """Where the base stands for a task, or None if a bank of placements says so."""
+        return self.bases.get(task.name, self.bases.get(task.seat.name))
+
+    def base_search(self, task: str) -> BaseSearch:
+        """Where to look for a base when the seat has no fixed one."""
+        return self.searches.get(task, BaseSearch((-0.85, -0.4, self.base_height)))
 
 
 @dataclass(frozen=True)
@@ -111,7 +144,8 @@ class ToolSpec:
     model: str  # asset
     grasp: Pose  # of the tool in the canonical tool frame
     tip: str  # site that the task calls the tool's position
-    geoms: tuple[str, ...]  # collision geoms, the working one first
+    geoms: tuple[str, ...]  # collision geoms, capsules and spheres, the working ones first
+    n_working: int = 1  # how many of them do the work
 
 
 @dataclass(frozen=True)
@@ -120,7 +154,14 @@ class SeatSpec:
 
     name: str
     model: str  # asset
-    geoms: tuple[str, ...]  # collision geoms that a tool or limb may touch
+    geoms: tuple[str, ...]  # collision geoms that a tool, hand or limb may touch
+    friction: float = 0.5  # against the person
+    bears_upper_arm: bool = False  # whether the upper arm may rest on it, not only forearm and hand
+
+
+Stillness = Literal["hold", "limp", "frozen", "welded"]
+"""A person who does not act holds the pose with weak muscles, lets the limbs hang, does not move but
+for a tremor, or does not move at all."""
 
 
 @dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
@@ -135,7 +176,14 @@ class PersonSpec:
     tremor_amplitude: float  # bound of the uniform draw per joint [rad]
     impairments: tuple[str, ...]  # drawn uniformly
     limbs: tuple[str, ...]  # person bodies that tool and robot may touch
-    arm: str = "right"  # the arm whose shoulder, elbow and wrist are observed
+    arm: str = "right"  # the arm that is helped
+    still: Stillness = "hold"  # what a person who does not act does
+    postures: str = ""  # bank of settled postures that replaces ``pose``, see person.posture
+    pose_range: Mapping[str, float] = field(default_factory=dict)  # joint -> uniform draw +- [rad]
+
+    def moving(self, active: bool) -> tuple[str, ...]:
+        """Joints that are hinges in the scene, in action order."""
+        return () if self.still == "welded" and not active else self.joints
 
 
 @dataclass(frozen=True)
@@ -166,13 +214,18 @@ class Task(Protocol):
         ...
 
     @property
-    def arm(self) -> str:
-        """Side of the robot's arm."""
+    def arms(self) -> tuple[str, ...]:
+        """Sides of the robot's arms that work, in action order."""
         ...
 
     @property
-    def tool(self) -> ToolSpec:
-        """What the robot holds."""
+    def tool(self) -> ToolSpec | None:
+        """What each of those hands holds, if anything."""
+        ...
+
+    @property
+    def goals(self) -> tuple[tuple[str, ...], ...]:
+        """For each arm, links of the person (or "mouth") that its hand should be able to reach."""
         ...
 
     @property
@@ -200,8 +253,8 @@ class Task(Protocol):
         """Observation record of the person."""
         ...
 
-    def start(self, key: jax.Array) -> jax.Array:
-        """Where the hand starts, world [m] (3,)."""
+    def start(self, key: jax.Array, robot: str) -> jax.Array:
+        """Where the robot's hands start, world [m] (n_arms, 3)."""
         ...
 
     def init(self, key: jax.Array, sensed: Any) -> Any:
@@ -225,5 +278,5 @@ class Task(Protocol):
         ...
 
     def markers(self, state: Any) -> list[Any]:
-        """Points to draw: world position [m] (3,), radius [m], colour."""
+        """Points to draw: world positions [m] (3,) or (n, 3), radius [m], colour; NaN is not drawn."""
         ...

@@ -8,7 +8,9 @@ from typing import Any
 
 import jax
 
+from agym_jax.person.body import BodyFields
 from agym_jax.person.draw import Person
+from agym_jax.person.pose import Pose
 
 
 @jax.tree_util.register_dataclass
@@ -18,7 +20,7 @@ class Placement:
 
     base_pos: jax.Array  # world [m]                                         (3,)
     base_quat: jax.Array  # wxyz                                             (4,)
-    arm_angles: jax.Array  # [rad]                                           (n_arm,)
+    arm_angles: jax.Array  # of the arms in use [rad]                        (n_arm,)
 
 
 @jax.tree_util.register_dataclass
@@ -27,8 +29,10 @@ class Episode:
     """Everything that is drawn once an episode, and its clock."""
 
     person: Person
+    pose: Pose  # how the person sits or lies
+    rows: BodyFields  # the person's part of the model, rows of the scene's links
     placement: Placement
-    person_angles: jax.Array  # start angles of the controllable joints [rad]  (n_person,)
+    person_angles: jax.Array  # start angles of the moving joints [rad]        (n_person,)
     person_target: jax.Array  # what the muscles hold, without tremor [rad]    (n_person,)
     step: jax.Array  # control steps done, int32                               ()
 

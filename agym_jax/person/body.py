@@ -114,6 +114,8 @@ LINK = {link.name: link for link in LINKS}
 JOINTS: dict[str, Joint] = {joint.name: joint for link in LINKS for joint in link.joints}
 RIGHT_ARM = tuple(j.name for link in _arm("right") for j in link.joints)
 LEFT_ARM = tuple(j.name for link in _arm("left") for j in link.joints)
+RIGHT_ARM_LINKS = ("right_upper_arm", "right_forearm", "right_hand")
+"""Their origins are the shoulder, the elbow and the wrist."""
 HEAD = ("neck_x", "head_x", "head_y", "head_z")
 
 

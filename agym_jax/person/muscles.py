@@ -29,6 +29,10 @@ TISSUE_DAMPING = 0.4
 """What even the weakest joint has [N m s/rad]. An estimate."""
 
 
+FROZEN_DAMPING = 1e4
+"""Of a person who does not move at all [N m s/rad]: a push of 10 N moves nothing by 1 mm in an episode."""
+
+
 def is_moving(tremor: jax.Array, active: bool) -> jax.Array:
     """Whether the person drives the joints at the move rate: active, or trembling ()."""
     return jnp.logical_or(active, jnp.any(tremor != 0.0))
@@ -36,8 +40,12 @@ def is_moving(tremor: jax.Array, active: bool) -> jax.Array:
 
 def damping(spec: PersonSpec, strength: jax.Array, moving: jax.Array) -> jax.Array:
     """Damping of every controllable joint [N m s/rad] ()."""
-    hold = HOLD_STIFFNESS / spec.hold_rate
-    return TISSUE_DAMPING + strength * jnp.where(moving, MOVE_DAMPING, hold) * spec.max_torque
+    move = MOVE_DAMPING * spec.max_torque * strength
+    still = {
+        "hold": HOLD_STIFFNESS / spec.hold_rate * spec.max_torque * strength,
+        "limp": 0.0,
+    }.get(spec.still, FROZEN_DAMPING)
+    return TISSUE_DAMPING + jnp.where(moving, move, still)
 
 
 def torque(
@@ -61,8 +69,9 @@ def torque(
     Returns:
         (n,)
     """
-    rate = jnp.where(moving, spec.move_rate, spec.hold_rate)
+    holds = 1.0 if spec.still == "hold" else 0.0
+    rate = jnp.where(moving, spec.move_rate, holds * spec.hold_rate)
     gain = damping(spec, strength, moving) * rate
-    bound = spec.max_torque * strength
+    bound = spec.max_torque * strength * jnp.where(moving, 1.0, holds)
     passive = jnp.where(np.array(["clavicle" in name for name in spec.joints]), load, 0.0)
     return passive + jnp.clip(load - passive + gain * (target - angle), -bound, bound)

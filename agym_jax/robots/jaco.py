@@ -5,7 +5,7 @@ Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robot
 
 import math
 
-from agym_jax.spec import Arm, Pose, RobotSpec
+from agym_jax.spec import Arm, BaseSearch, Pose, RobotSpec
 
 _ARM = Arm(
     joints=tuple(f"j2s7s300_joint_{i}" for i in range(1, 8)),
@@ -22,10 +22,32 @@ JACO = RobotSpec(
     arms={"left": _ARM, "right": _ARM},
     torso="torso_reference",
     # AG v0.1 task files, gripper positions (robots.md section 5)
-    gripper_opening={"scratcher": 1.0},
-    # AG v0.1 world_creation.py: beside the wheelchair, yaw -90 degrees (robots.md section 7)
-    bases={"wheelchair": Pose((-0.35, -0.3, 0.36), (_H, 0.0, 0.0, -_H))},
-    mounts={"wheelchair": "furniture/jaco_mount.xml"},
-    # AG v0.1 scratch_itch.py: Euler (0, pi/2, 0), the hand points along world +x
-    start_rotations={"ScratchItch": (_H, 0.0, _H, 0.0)},
+    gripper_opening={"scratcher": 1.0, "wiper": 1.1, "scooper": 1.05, "hand": 1.33},
+    grasps={
+        # robots.md section 9: x along the approach, z against the hand's x
+        "scratcher": Pose((0.0, 0.0, 0.02), (_H, 0.0, -_H, 0.0)),
+        "wiper": Pose((-0.01, 0.0, 0.03), (_H, 0.0, -_H, 0.0)),
+        # robots.md section 4: URDF joint of the tool, rpy (pi/2, -pi/2, 0)
+        "scooper": Pose((0.075, 0.0, 0.14), (0.5, 0.5, -0.5, 0.5)),
+    },
+    # AG v0.1 world_creation.py: beside the wheelchair, yaw -90 degrees (robots.md section 7); the
+    # tutorial's Reaching has yaw 0
+    bases={
+        "wheelchair": Pose((-0.35, -0.3, 0.36), (_H, 0.0, 0.0, -_H)),
+        "Reaching": Pose((-0.35, -0.3, 0.36)),
+    },
+    mounts={"wheelchair": "furniture/jaco_mount.xml", "bed": "furniture/nightstand.xml"},
+    # robots.md section 7: beside the bed on a nightstand, spread 0.1 m
+    searches={
+        "BedBathing": BaseSearch((-0.9, 0.65, 0.6), spread=0.1),
+        "ArmManipulation": BaseSearch((-0.9, 0.75, 0.6), spread=0.1),
+    },
+    base_height=0.6,
+    # tasks.md sections 2, 3, 7: Euler (0, pi/2, 0), the hand points along world +x; 8: (pi/2, 0, pi/2)
+    start_rotations={
+        "ScratchItch": (_H, 0.0, _H, 0.0),
+        "BedBathing": (_H, 0.0, _H, 0.0),
+        "ArmManipulation": (_H, 0.0, _H, 0.0),
+        "Reaching": (0.5, 0.5, 0.5, 0.5),
+    },
 )

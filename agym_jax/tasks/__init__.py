@@ -1,6 +1,11 @@
 """The tasks: one file each."""
 
 from agym_jax.spec import Task
+from agym_jax.tasks.arm_manipulation import ARM_MANIPULATION
+from agym_jax.tasks.bed_bathing import BED_BATHING
+from agym_jax.tasks.reaching import REACHING
 from agym_jax.tasks.scratch_itch import SCRATCH_ITCH
 
-TASKS: dict[str, Task] = {task.name: task for task in (SCRATCH_ITCH,)}
+TASKS: dict[str, Task] = {
+    task.name: task for task in (SCRATCH_ITCH, BED_BATHING, ARM_MANIPULATION, REACHING)
+}

@@ -16,7 +16,7 @@ from jax import Array
 
 from agym_jax.furniture import WHEELCHAIR
 from agym_jax.observe import column, observation
-from agym_jax.person.body import RIGHT_ARM
+from agym_jax.person.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
@@ -107,7 +107,8 @@ class ScratchItch:
         time_step=0.02, frame_skip=5, rate=0.05 / 0.02, max_torque=1.0, action_scale=0.25
     )
     gravity: float = -1.0  # AG scratch_itch.py reset: on the person only
-    arm: str = "left"
+    arms: tuple[str, ...] = ("left",)
+    goals: tuple[tuple[str, ...], ...] = (RIGHT_ARM_LINKS,)
     tool: ToolSpec = SCRATCHER
     seat: SeatSpec = WHEELCHAIR
     person: PersonSpec = PersonSpec(
@@ -130,11 +131,10 @@ class ScratchItch:
     robot_obs: type = RobotObs
     person_obs: type = PersonObs
 
-    def start(self, key: Array) -> Array:
-        """Where the hand starts, world [m] (3,). AG scratch_itch.py reset, Jaco."""
-        return jnp.array([-0.5, 0.0, 0.8]) + jax.random.uniform(
-            key, (3,), minval=-0.05, maxval=0.05
-        )
+    def start(self, key: Array, robot: str) -> Array:
+        """Where the hand starts, world [m] (1, 3). AG scratch_itch.py reset."""
+        centre = jnp.array([[-0.5 if robot == "Jaco" else -0.55, 0.0, 0.8]])
+        return centre + jax.random.uniform(key, (1, 3), minval=-0.05, maxval=0.05)
 
     def init(self, key: Array, sensed: Sensed) -> ItchState:
         """Draw the itch: a point on the skin of the upper arm or the forearm.
@@ -143,8 +143,9 @@ class ScratchItch:
         """
         key_limb, key_along, key_around = jax.random.split(key, 3)
         on_forearm = jax.random.bernoulli(key_limb).astype(jnp.float32)
-        length = jnp.where(on_forearm > 0, sensed.forearm_length, sensed.upper_arm_length)
-        radius = jnp.where(on_forearm > 0, sensed.forearm_radius, sensed.upper_arm_radius)
+        d = sensed.dims
+        length = jnp.where(on_forearm > 0, d.forearm_l, d.upper_arm_l)
+        radius = jnp.where(on_forearm > 0, d.forearm_r, d.upper_arm_r)
         s = radius + (length - radius) * jax.random.uniform(key_along)
         angle = jax.random.uniform(key_around, maxval=2 * jnp.pi)
         local = jnp.stack([-radius * jnp.sin(angle), -radius * jnp.cos(angle), -s])
@@ -162,10 +163,11 @@ class ScratchItch:
         """Move the itch with the limb, and count a scratch if there was one."""
         c = self.config
         state = _follow_limb(state, sensed)
-        near = jnp.linalg.norm(sensed.touch_pos_w - state.target_pos_w, axis=-1) < c.target_radius
-        at_target = jnp.where(near, sensed.touch_force, 0.0)
+        tool = sensed.tool
+        near = jnp.linalg.norm(tool.touch_pos_w - state.target_pos_w, axis=-1) < c.target_radius
+        at_target = jnp.where(near, tool.touch_force, 0.0)
         force = jnp.sum(at_target)
-        point = sensed.touch_pos_w[jnp.argmax(at_target)]
+        point = tool.touch_pos_w[jnp.argmax(at_target)]
         moved = jnp.linalg.norm(point - state.last_scratch_w) > c.stroke
         is_scratch = (force > 0.0) & moved & (force < c.gentle)
         state = replace(
@@ -181,7 +183,7 @@ class ScratchItch:
     ) -> dict[str, Array]:
         """Weighted terms. AG scratch_itch.py step; the action is clipped (deviation action-penalty)."""
         c = self.config
-        distance = jnp.linalg.norm(state.target_pos_w - sensed.tool_pos_w)
+        distance = jnp.linalg.norm(state.target_pos_w - sensed.tool.pos_w)
         return {
             "distance": -c.distance * distance,
             "action": -c.action * jnp.sum(jnp.square(action)),
@@ -189,36 +191,37 @@ class ScratchItch:
             "scratch": c.scratch * events["scratch"],
             **preference_terms(
                 c.preferences,
-                jnp.linalg.norm(sensed.tool_vel_w),
-                sensed.tool_on_person + sensed.robot_on_person,
+                jnp.linalg.norm(sensed.tool.vel_w),
+                sensed.force_on_person,
                 state.force_at_target,
             ),
         }
 
     def observe(self, state: ItchState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
         """What robot and person see."""
-        s, torso, chest = sensed, sensed.torso_pos_w, sensed.person_pos_w
+        s, tool, torso, chest = sensed, sensed.tool, sensed.torso_pos_w, sensed.person_pos_w
+        shoulder, elbow, wrist = (s.link_pos_w[name] for name in RIGHT_ARM_LINKS)
         robot = RobotObs(
-            tool_pos_torso=s.tool_pos_w - torso,
-            tool_quat_w=s.tool_quat_w,
-            tool_pos_target=s.tool_pos_w - state.target_pos_w,
+            tool_pos_torso=tool.pos_w - torso,
+            tool_quat_w=tool.quat_w,
+            tool_pos_target=tool.pos_w - state.target_pos_w,
             target_pos_torso=state.target_pos_w - torso,
             arm_angles=s.arm_angles,
-            shoulder_pos_torso=s.shoulder_pos_w - torso,
-            elbow_pos_torso=s.elbow_pos_w - torso,
-            wrist_pos_torso=s.wrist_pos_w - torso,
-            tool_force=s.tool_force,
+            shoulder_pos_torso=shoulder - torso,
+            elbow_pos_torso=elbow - torso,
+            wrist_pos_torso=wrist - torso,
+            tool_force=tool.force,
         )
         person = PersonObs(
-            tool_pos_person=s.tool_pos_w - chest,
-            tool_quat_w=s.tool_quat_w,
-            tool_pos_target=s.tool_pos_w - state.target_pos_w,
+            tool_pos_person=tool.pos_w - chest,
+            tool_quat_w=tool.quat_w,
+            tool_pos_target=tool.pos_w - state.target_pos_w,
             target_pos_person=state.target_pos_w - chest,
             person_angles=s.person_angles,
-            shoulder_pos_person=s.shoulder_pos_w - chest,
-            elbow_pos_person=s.elbow_pos_w - chest,
-            wrist_pos_person=s.wrist_pos_w - chest,
-            force_on_person=s.tool_on_person + s.robot_on_person,
+            shoulder_pos_person=shoulder - chest,
+            elbow_pos_person=elbow - chest,
+            wrist_pos_person=wrist - chest,
+            force_on_person=s.force_on_person,
             force_at_target=state.force_at_target,
         )
         return robot, person
@@ -235,8 +238,9 @@ class ScratchItch:
 def _follow_limb(state: ItchState, sensed: Sensed) -> ItchState:
     """The itch in the world, on the limb as it now is."""
     on_forearm = state.on_forearm > 0
-    pos = jnp.where(on_forearm, sensed.elbow_pos_w, sensed.shoulder_pos_w)
-    rot = jnp.where(on_forearm, sensed.forearm_rot_w, sensed.upper_arm_rot_w)
+    upper, fore, _ = RIGHT_ARM_LINKS
+    pos = jnp.where(on_forearm, sensed.link_pos_w[fore], sensed.link_pos_w[upper])
+    rot = jnp.where(on_forearm, sensed.link_rot_w[fore], sensed.link_rot_w[upper])
     return replace(state, target_pos_w=pos + rot @ state.target_limb)
 
 

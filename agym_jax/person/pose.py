@@ -1,0 +1,108 @@
+"""How the person of an episode sits or lies: chest pose and joint angles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from agym_jax.person import anthropometry, body
+from agym_jax.person.draw import Person
+from agym_jax.person.posture import Postures, load_postures
+from agym_jax.spec import PersonSpec
+
+CHEST_Y = 0.03  # AG human_creation.py: the seated chest is at (0, 0.03, 0.89 or 0.86)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Pose:
+    """Of a whole person."""
+
+    root_pos: Any  # chest, world [m]                                        (3,)
+    root_quat: Any  # chest, wxyz                                            (4,)
+    angles: Any  # every joint, in the order of body.JOINTS [rad]            (41,)
+
+
+def draw_pose(key: jax.Array, spec: PersonSpec, person: Person) -> Pose:
+    """Draw how a person sits, or lies as gravity left people of that size.
+
+    Args:
+        key: PRNG key.
+        spec: the task's fixed angles and ranges, or its bank of settled postures.
+        person: who.
+    """
+    if not spec.postures:
+        widths = np.array([spec.pose_range.get(j, 0.0) for j in body.JOINTS], np.float32)
+        noise = widths * jax.random.uniform(key, widths.shape, minval=-1.0, maxval=1.0)
+        pose = seated(spec, person.dims, person.sex, person.stature, person.girth, jnp)
+        return Pose(pose.root_pos, pose.root_quat, pose.angles + noise)
+    bank = load_postures(spec.postures)
+    size = jnp.stack([person.sex, person.stature, person.girth])
+    sizes = jnp.stack([jnp.asarray(x) for x in (bank.sex, bank.stature, bank.girth)], axis=-1)
+    apart = jnp.sum(jnp.abs(sizes - size), axis=-1)
+    # the rows nearest in size, one of them at random
+    row = jnp.argmin(apart + jax.random.uniform(key, apart.shape, maxval=0.05))
+    return lying(bank, row, person.dims, jnp)
+
+
+def seated(
+    spec: PersonSpec, d: anthropometry.Dims, sex: Any, stature: Any, girth: Any, xp: Any
+) -> Pose:
+    """The task's fixed pose, with the chest where this person's is when the thighs rest on the seat."""
+    height = anthropometry.sitting_height(d, sex, stature, girth)
+    zero = 0.0 * height
+    root = xp.stack([xp.asarray(zero), xp.asarray(CHEST_Y + zero), xp.asarray(height)])
+    angles = xp.asarray([spec.pose.get(j, 0.0) for j in body.JOINTS], dtype="float32")
+    return Pose(root, xp.asarray((1.0, 0.0, 0.0, 0.0)) + zero, angles + zero)
+
+
+def lying(bank: Postures, row: Any, d: anthropometry.Dims, xp: Any) -> Pose:
+    """A row of a bank, raised or lowered by as much as this person's chest is thicker or thinner."""
+    at = lambda x: xp.asarray(x)[row]  # noqa: E731
+    settled = anthropometry.dims(at(bank.sex), at(bank.stature), at(bank.girth))
+    up = xp.asarray((0.0, 0.0, 1.0)) * (d.chest_r - settled.chest_r)
+    return Pose(at(bank.root_pos) + up, at(bank.root_quat), at(bank.angles))
+
+
+def typical(spec: PersonSpec, sex: float, stature: float = 1.0, girth: float = 1.0) -> Pose:
+    """A pose to build a scene with, in NumPy."""
+    d = anthropometry.dims(sex, stature, girth)
+    if not spec.postures:
+        return seated(spec, d, sex, stature, girth, np)
+    bank = load_postures(spec.postures)
+    apart = abs(bank.sex - sex) + abs(bank.stature - stature) + abs(bank.girth - girth)
+    return lying(bank, int(np.argmin(apart)), d, np)
+
+
+def posed_joints(spec: PersonSpec) -> tuple[str, ...]:
+    """Joints that a pose may bend: the others are 0, or at the limit nearest to it."""
+    if spec.postures:
+        return tuple(body.JOINTS)
+    return tuple(j for j in body.JOINTS if j in spec.pose or j in spec.pose_range)
+
+
+def rows(
+    spec: PersonSpec,
+    pose: Pose,
+    d: anthropometry.Dims,
+    moving: tuple[str, ...],
+    limit_scale: Any,
+    xp: Any,
+) -> body.BodyFields:
+    """The person's rows of the MuJoCo model in that pose; NumPy or JAX."""
+    order = list(body.JOINTS)
+    angles = {j: pose.angles[order.index(j)] for j in posed_joints(spec)}
+    return body.fields(d, angles, moving, limit_scale, pose.root_pos, pose.root_quat, xp)
+
+
+def start_angles(pose: Pose, joints: tuple[str, ...], limit_scale: Any, xp: Any) -> Any:
+    """Angles of the moving joints, within this person's limits [rad] (n,)."""
+    if not joints:
+        return xp.zeros(0)
+    order = list(body.JOINTS)
+    low, high = body.joint_limits(joints, limit_scale, xp).T
+    return xp.clip(xp.stack([pose.angles[order.index(j)] for j in joints]), low, high)

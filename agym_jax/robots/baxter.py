@@ -1,0 +1,70 @@
+"""Rethink Baxter: two arms of seven joints with electric parallel grippers, on a pedestal.
+
+Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robots/baxter.xml``.
+"""
+
+import math
+
+from agym_jax.spec import Arm, BaseSearch, Pose, RobotSpec
+
+_JOINTS = ("s0", "s1", "e0", "e1", "w0", "w1", "w2")
+_LINKS = ("gripper", "gripper_base", "wrist", "lower_forearm", "upper_forearm")
+
+
+def _arm(side: str) -> Arm:
+    """One side's names; its finger joints bear only the side's first letter."""
+    return Arm(
+        joints=tuple(f"{side}_{x}" for x in _JOINTS),
+        end_effector=f"{side}_gripper",
+        tool_frame=f"{side}_tool_frame",
+        gripper=tuple(f"{side[0]}_gripper_{x}_finger_joint" for x in "lr"),
+        links=tuple(f"{side}_{x}_collision" for x in _LINKS),
+    )
+
+
+_H = math.sqrt(0.5)
+# AG v0.1 world_creation.py: both arms tucked before the search (robots.md section 6)
+_REST = {
+    "left": (0.75, 1.0, 0.5, 0.5, 1.0, -0.5, 0.0),
+    "right": (-0.75, 1.0, -0.5, 0.5, -1.0, -0.5, 0.0),
+}
+
+BAXTER = RobotSpec(
+    name="Baxter",
+    model="robots/baxter.xml",
+    arms={"left": _arm("left"), "right": _arm("right")},
+    torso="torso_reference",
+    # AG v0.1 task files: the left finger's shift [m], the right one's is its negative
+    # (robots.md section 5); Reaching has no Baxter, closed as for Feeding
+    gripper_opening={"scratcher": 0.015, "wiper": 0.0125, "scooper": 0.01, "hand": 0.0},
+    grasps={
+        # AG v0.1 task files: 0.125 and 0.1175 beyond the gripper base (robots.md section 9),
+        # the tool frame 0.1327 beyond it
+        "scratcher": Pose((0.0, 0.0, -0.0077), (0.0, _H, 0.0, _H)),
+        "wiper": Pose((0.0, 0.0, -0.0152), (0.5, -0.5, -0.5, -0.5)),
+        # URDF baxter_custom_arm_manipulation, joint of tool_left and tool_right (section 4)
+        "scooper": Pose((0.0, 0.075, 0.1023), (0.0, _H, 0.0, _H)),
+    },
+    rest={
+        f"{side}_{x}": angle
+        for side, angles in _REST.items()
+        for x, angle in zip(_JOINTS, angles, strict=True)
+    },
+    # robots.md section 7: (-0.85, -0.4) and the task's pos_offset; Reaching as Feeding
+    searches={
+        "ScratchItch": BaseSearch((-0.85, -0.4, 0.975)),
+        "BedBathing": BaseSearch((-1.05, -0.4, 0.975)),
+        "ArmManipulation": BaseSearch((-1.15, 0.2, 0.975)),
+        "Reaching": BaseSearch((-0.85, -0.2, 0.975)),
+    },
+    base_height=0.975,
+    start_rotations={
+        # AG v0.1 scratch_itch.py, bed_bathing.py: Euler (0, pi/2, 0), the hand along world +x
+        "ScratchItch": (_H, 0.0, _H, 0.0),
+        "BedBathing": (_H, 0.0, _H, 0.0),
+        # AG v0.1 arm_manipulation.py: Euler (0, -pi/2, pi), along +x, turned by pi about it
+        "ArmManipulation": (0.0, _H, 0.0, _H),
+        # as Feeding (feeding.py): Euler (pi/2, 0, pi/2), along +x, fingers open vertically
+        "Reaching": (0.5, 0.5, 0.5, 0.5),
+    },
+)

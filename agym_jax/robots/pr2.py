@@ -1,0 +1,70 @@
+"""Willow Garage PR2: two arms of seven joints with two-finger grippers on a wheeled base.
+
+Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robots/pr2.xml``.
+"""
+
+import math
+
+from agym_jax.spec import Arm, BaseSearch, Pose, RobotSpec
+
+_H = math.sqrt(0.5)
+# robots.md section 3, action order
+_JOINTS = (
+    "shoulder_pan",
+    "shoulder_lift",
+    "upper_arm_roll",
+    "elbow_flex",
+    "forearm_roll",
+    "wrist_flex",
+    "wrist_roll",
+)
+_FINGERS = ("l_finger", "l_finger_tip", "r_finger", "r_finger_tip")
+_LINKS = ("gripper_fingers", "gripper_palm_link", "forearm_link", "elbow_flex_link")
+# AG v0.1 world_creation.py: tucked left arm (robots.md section 6); the right one mirrors the turns
+_TUCKED = (1.75, 1.25, 1.5, -0.5, 1.0, 0.0, 1.0)
+_MIRROR = (-1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0)
+
+
+def _arm(side: str) -> Arm:
+    s = side[0]
+    return Arm(
+        joints=tuple(f"{s}_{x}_joint" for x in _JOINTS),
+        end_effector=f"{s}_gripper_tool_frame",
+        tool_frame=f"{side}_tool_frame",
+        gripper=tuple(f"{s}_gripper_{x}_joint" for x in _FINGERS),
+        links=tuple(f"{s}_{x}_collision" for x in _LINKS),
+    )
+
+
+PR2 = RobotSpec(
+    name="PR2",
+    model="robots/pr2.xml",
+    arms={"left": _arm("left"), "right": _arm("right")},
+    torso="torso_reference",
+    # AG v0.1 task files, the same angle on all four finger joints (robots.md section 5)
+    gripper_opening={"scratcher": 0.25, "wiper": 0.2, "scooper": 0.15, "hand": 0.03},
+    # robots.md sections 9 and 4, turned from *_gripper_tool_frame into the canonical frame
+    grasps={
+        # AG: position 0, axes of the link
+        "scratcher": Pose((0.0, 0.0, 0.0), (0.5, -0.5, -0.5, -0.5)),
+        "wiper": Pose((0.0, 0.0, 0.0), (0.5, -0.5, -0.5, -0.5)),
+        # AG: tool_left, tool_right at (0.125, 0, -0.075), rpy (pi/2, 0, 0)
+        "scooper": Pose((0.0, -0.075, 0.125), (_H, 0.0, -_H, 0.0)),
+    },
+    rest={f"l_{x}_joint": q for x, q in zip(_JOINTS, _TUCKED, strict=True)}
+    | {f"r_{x}_joint": m * q for x, q, m in zip(_JOINTS, _TUCKED, _MIRROR, strict=True)},
+    # robots.md section 7: (-0.85, -0.4) and the task's pos_offset
+    searches={
+        "ScratchItch": BaseSearch((-0.75, -0.4, 0.0)),
+        "BedBathing": BaseSearch((-0.95, -0.4, 0.0)),
+        "ArmManipulation": BaseSearch((-1.15, 0.3, 0.0)),
+        "Reaching": BaseSearch((-0.75, -0.2, 0.0)),
+    },
+    # tasks.md sections 2, 3, 7, 8: Euler (0, 0, 0), the hand points along world +x; Reaching (pi/2, 0, 0)
+    start_rotations={
+        "ScratchItch": (1.0, 0.0, 0.0, 0.0),
+        "BedBathing": (1.0, 0.0, 0.0, 0.0),
+        "ArmManipulation": (1.0, 0.0, 0.0, 0.0),
+        "Reaching": (_H, _H, 0.0, 0.0),
+    },
+)

@@ -1,0 +1,57 @@
+"""Rethink Sawyer: one arm of seven joints on a pedestal and a gripper of two sliding fingers.
+
+Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robots/sawyer.xml``.
+"""
+
+import math
+
+from agym_jax.spec import Arm, BaseSearch, Pose, RobotSpec
+
+_ARM = Arm(
+    joints=tuple(f"right_j{i}" for i in range(7)),
+    end_effector="right_gripper",
+    tool_frame="tool_frame",
+    gripper=("r_gripper_l_finger_joint", "r_gripper_r_finger_joint"),
+    links=(
+        "right_gripper_collision",  # both fingers
+        "right_gripper_base_collision",
+        "right_l6_collision",
+        "right_l5_collision",
+        "right_l4_collision",
+    ),
+)
+_H = math.sqrt(0.5)
+
+SAWYER = RobotSpec(
+    name="Sawyer",
+    model="robots/sawyer.xml",
+    arms={"left": _ARM, "right": _ARM},
+    torso="torso_reference",
+    # AG v0.1 task files, metres by which each finger opens: left +p, right -p (robots.md section 5)
+    gripper_opening={"scratcher": 0.015, "wiper": 0.0125, "scooper": 0.01, "hand": 0.0},
+    grasps={
+        # robots.md section 9: 0.125 and 0.1175 m out of right_gripper_base
+        "scratcher": Pose((0.0, 0.0, -0.0077), (0.0, _H, 0.0, _H)),
+        "wiper": Pose((0.0, 0.0, -0.0152), (0.5, -0.5, -0.5, -0.5)),
+        # robots.md section 4: URDF joint of tool_right
+        "scooper": Pose((0.0, 0.075, 0.1023), (0.0, _H, 0.0, _H)),
+    },
+    # robots.md section 7: (-0.85, -0.4) and the task's pos_offset; baseline.md: the URDF's root stands
+    # (0.1, 0, -0.07) from there; Reaching as Feeding
+    searches={
+        "ScratchItch": BaseSearch((-0.85, -0.4, 0.905)),
+        "BedBathing": BaseSearch((-0.95, -0.4, 0.905)),
+        "ArmManipulation": BaseSearch((-1.05, 0.2, 0.905)),
+        "Reaching": BaseSearch((-0.85, -0.2, 0.905)),
+    },
+    base_height=0.905,
+    start_rotations={
+        # AG v0.1 scratch_itch.py, bed_bathing.py: Euler (0, pi/2, 0)
+        "ScratchItch": (_H, 0.0, _H, 0.0),
+        "BedBathing": (_H, 0.0, _H, 0.0),
+        # AG v0.1 arm_manipulation.py: Euler (0, -pi/2, pi)
+        "ArmManipulation": (0.0, _H, 0.0, _H),
+        # AG v0.1 feeding.py, as the tutorial has no Sawyer: Euler (pi/2, 0, pi/2)
+        "Reaching": (0.5, 0.5, 0.5, 0.5),
+    },
+)

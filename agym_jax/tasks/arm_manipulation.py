@@ -1,0 +1,243 @@
+"""ArmManipulation: lift the limp right arm, which hangs over the side of the bed, onto the body.
+
+Assistive Gym v0.1 ``arm_manipulation.py`` (reference tasks.md section 7). Two scoopers lift it where the
+robot has two arms. Success is an elbow near the waist and a hand near the hips at some time of the
+episode: their distances together at most 0.7 m.
+
+DEVIATION(one-arm): Sawyer and Jaco take 7 actions, not 14 of which AG ignores 7; their one tool stands in
+both places of the observation, and its force and speed count once.
+DEVIATION(pressure): a scooper's pressure is its force over the number of its parts that touch; AG counts
+Bullet's closest points within 1 cm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from agym_jax.furniture import BED
+from agym_jax.observe import column, observation
+from agym_jax.person.body import RIGHT_ARM, RIGHT_ARM_LINKS
+from agym_jax.preferences import preference_terms
+from agym_jax.sense import Sensed, ToolSensed
+from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
+
+_RAD = math.pi / 180.0
+
+
+@dataclass(frozen=True)
+class Config:
+    """Weights and thresholds. AG v0.1 config.ini [arm_manipulation] unless said."""
+
+    distance_human: float = 0.5  # distance_human_weight
+    distance_tool: float = 0.25  # distance_end_effector_weight, of each tool
+    action: float = 0.01  # action_weight
+    close: float = -0.7  # task_success_threshold [m]
+    pressure: float = 0.01  # [human_preferences] high_pressures_weight
+    preferences: Preferences = Preferences()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ArmState:
+    """How near the arm is to where it belongs."""
+
+    nearness: Array  # minus elbow to waist minus hand to hips [m]             ()
+    best: Array  # the greatest so far [m]                                     ()
+
+
+@observation
+class RobotObs:
+    """What the robot sees."""
+
+    left_tool_pos_torso: Array = column(
+        3, "m", "world axes, from the robot's torso", "arm_manipulation.py:83"
+    )
+    left_tool_quat_w: Array = column(4, "1 (wxyz)", "world", "arm_manipulation.py:83")
+    right_tool_pos_torso: Array = column(
+        3, "m", "world axes, from the torso", "arm_manipulation.py:83"
+    )
+    right_tool_quat_w: Array = column(4, "1 (wxyz)", "world", "arm_manipulation.py:83")
+    arm_angles: Array = column(14, "rad", "left arm, then right", "arm_manipulation.py:83")
+    shoulder_pos_torso: Array = column(
+        3, "m", "world axes, from the torso", "arm_manipulation.py:83"
+    )
+    elbow_pos_torso: Array = column(3, "m", "world axes, from the torso", "arm_manipulation.py:83")
+    wrist_pos_torso: Array = column(3, "m", "world axes, from the torso", "arm_manipulation.py:83")
+    waist_pos_torso: Array = column(3, "m", "world axes, from the torso", "arm_manipulation.py:83")
+    hips_pos_torso: Array = column(3, "m", "world axes, from the torso", "arm_manipulation.py:83")
+    left_tool_force: Array = column(1, "N", "all contacts of the tool", "arm_manipulation.py:83")
+    right_tool_force: Array = column(1, "N", "all contacts of the tool", "arm_manipulation.py:83")
+
+
+@observation
+class PersonObs:
+    """What the active person sees and feels."""
+
+    left_tool_pos_person: Array = column(
+        3, "m", "world axes, from the chest", "arm_manipulation.py:89"
+    )
+    left_tool_quat_w: Array = column(4, "1 (wxyz)", "world", "arm_manipulation.py:89")
+    right_tool_pos_person: Array = column(
+        3, "m", "world axes, from the chest", "arm_manipulation.py:89"
+    )
+    right_tool_quat_w: Array = column(4, "1 (wxyz)", "world", "arm_manipulation.py:89")
+    person_angles: Array = column(10, "rad", "right arm's joints", "arm_manipulation.py:89")
+    shoulder_pos_person: Array = column(
+        3, "m", "world axes, from the chest", "arm_manipulation.py:89"
+    )
+    elbow_pos_person: Array = column(3, "m", "world axes, from the chest", "arm_manipulation.py:89")
+    wrist_pos_person: Array = column(3, "m", "world axes, from the chest", "arm_manipulation.py:89")
+    waist_pos_person: Array = column(3, "m", "world axes, from the chest", "arm_manipulation.py:89")
+    hips_pos_person: Array = column(3, "m", "world axes, from the chest", "arm_manipulation.py:89")
+    force_on_person: Array = column(
+        1, "N", "robot and tools on the person", "arm_manipulation.py:89"
+    )
+    left_tool_on_person: Array = column(1, "N", "tool on the person", "arm_manipulation.py:89")
+    right_tool_on_person: Array = column(1, "N", "tool on the person", "arm_manipulation.py:89")
+
+
+SCOOPER = ToolSpec(
+    name="scooper",
+    model="tools/scooper.xml",
+    grasp=Pose(),
+    tip="tool_tip",
+    geoms=tuple(f"scooper_{i}_collision" for i in range(1, 7)),
+    n_working=6,
+)
+
+
+@dataclass(frozen=True)
+class ArmManipulation:
+    """The task: data for the scene, and pure functions for the environment."""
+
+    config: Config = Config()
+    name: str = "ArmManipulation"
+    # AG env.py and arm_manipulation.py: 0.02 s x 5, gain 0.05 a step, 5 N m, 5 x 0.05 rad
+    control: Control = Control(
+        time_step=0.02, frame_skip=5, rate=0.05 / 0.02, max_torque=5.0, action_scale=0.25
+    )
+    gravity: float = -9.81  # AG arm_manipulation.py reset: on the person only
+    arms: tuple[str, ...] = ("left", "right")
+    goals: tuple[tuple[str, ...], ...] = (("right_forearm", "waist"), ("right_hand", "hips"))
+    tool: ToolSpec = SCOOPER
+    # AG: friction 0.3 of the bed times 0.5 of the person
+    seat: SeatSpec = replace(BED, friction=0.15, bears_upper_arm=True)
+    person: PersonSpec = PersonSpec(
+        joints=RIGHT_ARM,
+        pose={},
+        postures="ArmManipulation",
+        hold_rate=0.05 / 0.02,
+        move_rate=0.05 / 0.02,
+        max_torque=2.0,  # AG: of the active person; a still one's arm is limp
+        tremor_amplitude=0.0,
+        impairments=("none", "limits", "weakness"),
+        limbs=("right_upper_arm", "right_forearm", "right_hand", "chest", "waist", "hips",
+               "right_thigh"),
+        still="limp",
+    )  # fmt: skip
+    episode_length: int = 200
+    robot_obs: type = RobotObs
+    person_obs: type = PersonObs
+
+    def start(self, key: Array, robot: str) -> Array:
+        """Where the hands start, world [m] (2, 3). AG arm_manipulation.py reset."""
+        left = (-0.9, 0.4, 1.0) if robot == "Jaco" else (-0.9, 0.7, 0.8)
+        centre = jnp.array([left, (-0.9, -0.3, 0.8)])
+        return centre + jax.random.uniform(key, (2, 3), minval=-0.05, maxval=0.05)
+
+    def init(self, key: Array, sensed: Sensed) -> ArmState:
+        """Nothing is drawn; the best counts from the first step on, as in AG."""
+        return ArmState(_nearness(sensed), jnp.float32(-jnp.inf))
+
+    def advance(self, state: ArmState, sensed: Sensed) -> tuple[ArmState, dict[str, Array]]:
+        """Keep the best."""
+        nearness = _nearness(sensed)
+        return ArmState(nearness, jnp.maximum(state.best, nearness)), {}
+
+    def rewards(
+        self, state: ArmState, events: dict[str, Array], sensed: Sensed, action: Array
+    ) -> dict[str, Array]:
+        """Weighted terms. AG arm_manipulation.py step; the action is clipped."""
+        c, s = self.config, sensed
+        _, elbow, hand = (s.link_pos_w[name] for name in RIGHT_ARM_LINKS)
+        goals = (elbow, hand)[: len(s.tools)]
+        apart = [jnp.linalg.norm(t.pos_w - g) for t, g in zip(s.tools, goals, strict=True)]
+        return {
+            "distance_human": c.distance_human * state.nearness,
+            # one tool counts for both, as in AG
+            "distance_tools": -c.distance_tool * sum(apart) * (2 / len(s.tools)),
+            "action": -c.action * jnp.sum(jnp.square(action)),
+            **preference_terms(
+                c.preferences,
+                sum(jnp.linalg.norm(t.vel_w) for t in s.tools),
+                s.robot_on_person,  # the scoopers' touch is wanted
+                jnp.float32(0.0),
+            ),
+            "preference_high_pressures": -c.pressure * sum(_pressure(t) for t in s.tools),
+        }
+
+    def observe(self, state: ArmState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+        """What robot and person see."""
+        s, torso, chest = sensed, sensed.torso_pos_w, sensed.person_pos_w
+        left, right = s.tools[0], s.tools[-1]
+        shoulder, elbow, wrist = (s.link_pos_w[name] for name in RIGHT_ARM_LINKS)
+        waist, hips = s.link_pos_w["waist"], s.link_pos_w["hips"]
+        robot = RobotObs(
+            left_tool_pos_torso=left.pos_w - torso,
+            left_tool_quat_w=left.quat_w,
+            right_tool_pos_torso=right.pos_w - torso,
+            right_tool_quat_w=right.quat_w,
+            arm_angles=jnp.tile(s.arm_angles, 2)[:14],
+            shoulder_pos_torso=shoulder - torso,
+            elbow_pos_torso=elbow - torso,
+            wrist_pos_torso=wrist - torso,
+            waist_pos_torso=waist - torso,
+            hips_pos_torso=hips - torso,
+            left_tool_force=left.force,
+            right_tool_force=right.force,
+        )
+        person = PersonObs(
+            left_tool_pos_person=left.pos_w - chest,
+            left_tool_quat_w=left.quat_w,
+            right_tool_pos_person=right.pos_w - chest,
+            right_tool_quat_w=right.quat_w,
+            person_angles=s.person_angles,
+            shoulder_pos_person=shoulder - chest,
+            elbow_pos_person=elbow - chest,
+            wrist_pos_person=wrist - chest,
+            waist_pos_person=waist - chest,
+            hips_pos_person=hips - chest,
+            force_on_person=s.force_on_person,
+            left_tool_on_person=left.on_person,
+            right_tool_on_person=right.on_person,
+        )
+        return robot, person
+
+    def success(self, state: ArmState) -> Array:
+        """Whether the arm has been near enough at some time ()."""
+        return state.best >= self.config.close
+
+    def markers(self, state: ArmState) -> list[tuple[Array, float, tuple[float, ...]]]:
+        """AG draws nothing here."""
+        return []
+
+
+def _nearness(sensed: Sensed) -> Array:
+    """Minus the distances from elbow to waist and from hand to hips [m] ()."""
+    _, elbow, hand = (sensed.link_pos_w[name] for name in RIGHT_ARM_LINKS)
+    to_waist = jnp.linalg.norm(elbow - sensed.link_pos_w["waist"])
+    return -to_waist - jnp.linalg.norm(hand - sensed.link_pos_w["hips"])
+
+
+def _pressure(tool: ToolSensed) -> Array:
+    """Force of a scooper on the person, per part of it that touches [N] ()."""
+    touching = jnp.sum(tool.touch_force > 0)
+    return tool.on_person / jnp.maximum(touching, 1)
+
+
+ARM_MANIPULATION = ArmManipulation()

@@ -1,0 +1,228 @@
+"""BedBathing: wipe the right arm of a person who lies in bed.
+
+Assistive Gym v0.1 ``bed_bathing.py`` (reference tasks.md section 3). Points cover the skin of the
+upper arm and the forearm in rings, underside included; the wiper's pad wipes those within 2.5 cm of
+where it touches the person. 30 % of them are a success. Nobody observes which are left.
+
+DEVIATION(wiper-shape): the pad is a capsule as wide and as long as AG's flat box, and its plate another.
+DEVIATION(bathing-tremor): a still person is welded to the bed, tremor included, as in AG.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from agym_jax.furniture import BED
+from agym_jax.observe import column, observation
+from agym_jax.person.body import RIGHT_ARM, RIGHT_ARM_LINKS
+from agym_jax.preferences import preference_terms
+from agym_jax.sense import Sensed
+from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
+
+_H = math.sqrt(0.5)
+_RAD = math.pi / 180.0
+RINGS, PER_RING = 11, 11
+"""Most rings on a limb, and points on a ring, that any drawn person has room for."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Weights and thresholds. AG v0.1 config.ini [bed_bathing] unless said."""
+
+    distance: float = 1.0  # distance_weight
+    action: float = 0.01  # action_weight
+    wiping: float = 5.0  # wiping_reward_weight
+    wiped: float = 0.3  # task_success_threshold, of all points
+    spacing: float = 0.03  # [m] between points, AG bed_bathing.py generate_targets
+    reach: float = 0.025  # [m] from a contact, AG bed_bathing.py get_total_force
+    preferences: Preferences = Preferences()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class BathState:
+    """The points of one episode and which have been wiped. Rows: upper arm, then forearm."""
+
+    points_limb: Array  # in the limb's frame [m]                     (2, RINGS * PER_RING, 3)
+    exists: Array  # whether this person has room for the point       (2, RINGS * PER_RING)
+    dirty: Array  # 1 until wiped, 0 where none exists                (2, RINGS * PER_RING)
+    points_w: Array  # in the world, now [m]                          (2, RINGS * PER_RING, 3)
+    pad_force: Array  # of the pad on the person [N]                  ()
+
+
+@observation
+class RobotObs:
+    """What the robot sees."""
+
+    tool_pos_torso: Array = column(
+        3, "m", "world axes, from the robot's torso", "bed_bathing.py:66"
+    )
+    tool_quat_w: Array = column(4, "1 (wxyz)", "world", "bed_bathing.py:66")
+    arm_angles: Array = column(7, "rad", "joints", "bed_bathing.py:66")
+    shoulder_pos_torso: Array = column(3, "m", "world axes, from the torso", "bed_bathing.py:66")
+    elbow_pos_torso: Array = column(3, "m", "world axes, from the torso", "bed_bathing.py:66")
+    wrist_pos_torso: Array = column(3, "m", "world axes, from the torso", "bed_bathing.py:66")
+    tool_force: Array = column(1, "N", "sum over all contacts of the tool", "bed_bathing.py:66")
+
+
+@observation
+class PersonObs:
+    """What the active person sees and feels."""
+
+    tool_pos_person: Array = column(3, "m", "world axes, from the chest", "bed_bathing.py:71")
+    tool_quat_w: Array = column(4, "1 (wxyz)", "world", "bed_bathing.py:71")
+    person_angles: Array = column(10, "rad", "right arm's joints", "bed_bathing.py:71")
+    shoulder_pos_person: Array = column(3, "m", "world axes, from the chest", "bed_bathing.py:71")
+    elbow_pos_person: Array = column(3, "m", "world axes, from the chest", "bed_bathing.py:71")
+    wrist_pos_person: Array = column(3, "m", "world axes, from the chest", "bed_bathing.py:71")
+    force_on_person: Array = column(1, "N", "tool and robot on the person", "bed_bathing.py:71")
+    tool_on_person: Array = column(1, "N", "tool on the person", "bed_bathing.py:71")
+
+
+WIPER = ToolSpec(
+    name="wiper",
+    model="tools/wiper.xml",
+    # AG: tool z against the approach (robots.md section 9, Jaco)
+    grasp=Pose((0.0, 0.0, 0.03), (_H, 0.0, -_H, 0.0)),
+    tip="tool_tip",
+    geoms=("wiper_pad_collision", "wiper_plate_collision"),
+)
+
+
+@dataclass(frozen=True)
+class BedBathing:
+    """The task: data for the scene, and pure functions for the environment."""
+
+    config: Config = Config()
+    name: str = "BedBathing"
+    # AG env.py and bed_bathing.py: 0.02 s x 5, gain 0.05 a step, 1 N m, 5 x 0.05 rad
+    control: Control = Control(
+        time_step=0.02, frame_skip=5, rate=0.05 / 0.02, max_torque=1.0, action_scale=0.25
+    )
+    gravity: float = -1.0  # AG bed_bathing.py reset: on the person only
+    arms: tuple[str, ...] = ("left",)
+    goals: tuple[tuple[str, ...], ...] = (RIGHT_ARM_LINKS,)
+    tool: ToolSpec = WIPER
+    # AG: friction 5 of the bed times 0.5 of the person
+    seat: SeatSpec = replace(BED, friction=2.5)
+    person: PersonSpec = PersonSpec(
+        joints=RIGHT_ARM,
+        pose={},
+        postures="BedBathing",
+        hold_rate=0.05 / 0.02,
+        move_rate=0.05 / 0.02,  # AG: gain 0.05 for the active person
+        max_torque=1.0,
+        tremor_amplitude=10 * _RAD,
+        impairments=("none", "limits", "weakness", "tremor"),
+        limbs=("right_upper_arm", "right_forearm", "right_hand", "right_girdle",
+               "chest", "waist", "hips", "head", "right_thigh"),
+        still="welded",
+    )  # fmt: skip
+    episode_length: int = 200
+    robot_obs: type = RobotObs
+    person_obs: type = PersonObs
+
+    def start(self, key: Array, robot: str) -> Array:
+        """Where the hand starts, world [m] (1, 3). AG bed_bathing.py reset."""
+        centre = jnp.array([[-0.6, 0.2, 1.0]])
+        return centre + jax.random.uniform(key, (1, 3), minval=-0.05, maxval=0.05)
+
+    def init(self, key: Array, sensed: Sensed) -> BathState:
+        """Cover this person's arm with points. AG bed_bathing.py generate_targets."""
+        d = sensed.dims
+        limbs = [(d.upper_arm_l, d.upper_arm_r), (d.forearm_l, d.forearm_r)]
+        points, exists = zip(*(self._cover(length, r) for length, r in limbs), strict=True)
+        points, exists = jnp.stack(points), jnp.stack(exists)
+        return BathState(points, exists, exists, _in_world(points, sensed), jnp.float32(0.0))
+
+    def _cover(self, length: Array, radius: Array) -> tuple[Array, Array]:
+        """Rings of points around a limb (RINGS * PER_RING, 3), and which of them exist."""
+        d = self.config.spacing
+        n_rings = jnp.floor(length / d)
+        n_around = jnp.floor(2 * jnp.pi * radius / d)
+        ring, place = np.divmod(np.arange(RINGS * PER_RING), PER_RING)
+        along = length * (ring + 1) / (n_rings + 1)
+        angle = place * d / radius
+        local = jnp.stack([-radius * jnp.sin(angle), -radius * jnp.cos(angle), -along], axis=-1)
+        exists = (ring < n_rings) & (place < n_around)
+        return jnp.where(exists[:, None], local, 0.0), exists.astype(jnp.float32)
+
+    def advance(self, state: BathState, sensed: Sensed) -> tuple[BathState, dict[str, Array]]:
+        """Move the points with the arm, and wipe those near a contact of the pad."""
+        tool = sensed.tool
+        points = _in_world(state.points_limb, sensed)
+        force = tool.touch_force * tool.touch_working
+        apart = jnp.linalg.norm(points[:, :, None] - tool.touch_pos_w, axis=-1)
+        near = jnp.any((apart < self.config.reach) & (force > 0), axis=-1)
+        wiped = state.dirty * near
+        state = replace(state, dirty=state.dirty - wiped, points_w=points, pad_force=jnp.sum(force))
+        return state, {"wiped": jnp.sum(wiped)}
+
+    def rewards(
+        self, state: BathState, events: dict[str, Array], sensed: Sensed, action: Array
+    ) -> dict[str, Array]:
+        """Weighted terms. AG bed_bathing.py step; the action is clipped (deviation action-penalty)."""
+        c = self.config
+        return {
+            "distance": -c.distance * sensed.tool.gap,
+            "action": -c.action * jnp.sum(jnp.square(action)),
+            "wiping": c.wiping * events["wiped"],
+            **preference_terms(
+                c.preferences,
+                jnp.linalg.norm(sensed.tool.vel_w),
+                sensed.force_on_person,
+                state.pad_force,
+            ),
+        }
+
+    def observe(self, state: BathState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+        """What robot and person see."""
+        s, tool, torso, chest = sensed, sensed.tool, sensed.torso_pos_w, sensed.person_pos_w
+        shoulder, elbow, wrist = (s.link_pos_w[name] for name in RIGHT_ARM_LINKS)
+        robot = RobotObs(
+            tool_pos_torso=tool.pos_w - torso,
+            tool_quat_w=tool.quat_w,
+            arm_angles=s.arm_angles,
+            shoulder_pos_torso=shoulder - torso,
+            elbow_pos_torso=elbow - torso,
+            wrist_pos_torso=wrist - torso,
+            tool_force=tool.force,
+        )
+        person = PersonObs(
+            tool_pos_person=tool.pos_w - chest,
+            tool_quat_w=tool.quat_w,
+            person_angles=s.person_angles,
+            shoulder_pos_person=shoulder - chest,
+            elbow_pos_person=elbow - chest,
+            wrist_pos_person=wrist - chest,
+            force_on_person=s.force_on_person,
+            tool_on_person=tool.on_person,
+        )
+        return robot, person
+
+    def success(self, state: BathState) -> Array:
+        """Whether 30 % of the points have been wiped ()."""
+        total = jnp.sum(state.exists)
+        return total - jnp.sum(state.dirty) >= self.config.wiped * total
+
+    def markers(self, state: BathState) -> list[tuple[Array, float, tuple[float, ...]]]:
+        """Points to draw: those not wiped yet. AG: cyan spheres of 1 cm; drawn smaller here."""
+        points = jnp.where(state.dirty[..., None] > 0, state.points_w, jnp.nan)
+        return [(points.reshape(-1, 3), 0.006, (0.0, 1.0, 1.0, 1.0))]
+
+
+def _in_world(points: Array, sensed: Sensed) -> Array:
+    """Points of both limbs in the world (2, n, 3)."""
+    limbs = RIGHT_ARM_LINKS[:2]
+    return jnp.stack([
+        sensed.link_pos_w[x] + points[i] @ sensed.link_rot_w[x].T for i, x in enumerate(limbs)
+    ])  # fmt: skip
+
+
+BED_BATHING = BedBathing()

@@ -1,0 +1,169 @@
+"""Reaching: bring the robot's hand to the person's mouth. The tutorial's task, with no tool.
+
+Assistive Gym v0.1's wiki, "Creating a New Assistive Environment" (reference tasks.md section 8).
+``docs/create_an_environment.md`` walks through this file.
+
+DEVIATION(reaching-success): success is a hand within 3 cm of the mouth; the tutorial's code compares
+the negative distance, which always succeeds.
+DEVIATION(reaching-speed): the speed is that of the hand which reaches; the tutorial reads the PR2's
+other one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from agym_jax.furniture import WHEELCHAIR
+from agym_jax.observe import column, observation
+from agym_jax.person.body import HEAD
+from agym_jax.preferences import preference_terms
+from agym_jax.sense import Sensed
+from agym_jax.spec import Control, PersonSpec, Preferences, SeatSpec
+
+_RAD = math.pi / 180.0
+
+
+@dataclass(frozen=True)
+class Config:
+    """Weights and thresholds. The tutorial's [reaching] section."""
+
+    distance: float = 1.0  # distance_weight
+    reached: float = 0.03  # task_success_threshold [m]
+    preferences: Preferences = Preferences()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ReachState:
+    """Where the mouth is and how far the hand is from it."""
+
+    mouth_pos_w: Array  # [m]                                                  (3,)
+    distance: Array  # [m]                                                     ()
+
+
+@observation
+class RobotObs:
+    """What the robot sees."""
+
+    hand_pos_torso: Array = column(3, "m", "world axes, from the robot's torso", "wiki tutorial")
+    hand_pos_mouth: Array = column(3, "m", "world axes, from the mouth", "wiki tutorial")
+    arm_angles: Array = column(7, "rad", "joints", "wiki tutorial")
+    hand_quat_w: Array = column(4, "1 (wxyz)", "world", "wiki tutorial")
+    head_quat_w: Array = column(4, "1 (wxyz)", "world", "wiki tutorial")
+
+
+@observation
+class PersonObs:
+    """What the active person sees and feels."""
+
+    hand_pos_person: Array = column(3, "m", "world axes, from the chest", "wiki tutorial")
+    hand_pos_mouth: Array = column(3, "m", "world axes, from the mouth", "wiki tutorial")
+    person_angles: Array = column(4, "rad", "neck and head joints", "wiki tutorial")
+    hand_quat_w: Array = column(4, "1 (wxyz)", "world", "wiki tutorial")
+    head_quat_w: Array = column(4, "1 (wxyz)", "world", "wiki tutorial")
+    force_on_person: Array = column(1, "N", "robot on the person", "wiki tutorial")
+
+
+@dataclass(frozen=True)
+class Reaching:
+    """The task: data for the scene, and pure functions for the environment."""
+
+    config: Config = Config()
+    name: str = "Reaching"
+    # 0.02 s x 5, gain 0.05 a step, 1 N m, 5 x 0.05 rad
+    control: Control = Control(
+        time_step=0.02, frame_skip=5, rate=0.05 / 0.02, max_torque=1.0, action_scale=0.25
+    )
+    gravity: float = 0.0  # on the person only
+    arms: tuple[str, ...] = ("right",)
+    goals: tuple[tuple[str, ...], ...] = (("mouth",),)
+    tool: None = None
+    seat: SeatSpec = WHEELCHAIR
+    person: PersonSpec = PersonSpec(
+        joints=HEAD,
+        pose={
+            "r_elbow_x": -90 * _RAD, "l_elbow_x": -90 * _RAD, "r_hip_x": -90 * _RAD,
+            "r_knee_x": 80 * _RAD, "l_hip_x": -90 * _RAD, "l_knee_x": 80 * _RAD,
+        },
+        pose_range={"head_x": 30 * _RAD, "head_y": 30 * _RAD, "head_z": 30 * _RAD},
+        hold_rate=0.05 / 0.02,
+        move_rate=0.05 / 0.02,
+        max_torque=1.0,
+        tremor_amplitude=20 * _RAD,
+        impairments=("none", "limits", "weakness", "tremor"),
+        limbs=("head", "neck", "chest", "waist", "right_girdle", "left_girdle",
+               "right_upper_arm", "right_forearm", "right_hand"),
+        still="frozen",
+    )  # fmt: skip
+    episode_length: int = 200
+    robot_obs: type = RobotObs
+    person_obs: type = PersonObs
+
+    def start(self, key: Array, robot: str) -> Array:
+        """Where the hand starts, world [m] (1, 3)."""
+        centre = jnp.array([[-0.15, -0.4, 1.0]])
+        return centre + jax.random.uniform(key, (1, 3), minval=-0.05, maxval=0.05)
+
+    def init(self, key: Array, sensed: Sensed) -> ReachState:
+        """The goal: the mouth, wherever the head is turned."""
+        return ReachState(sensed.mouth_pos_w, _distance(sensed))
+
+    def advance(self, state: ReachState, sensed: Sensed) -> tuple[ReachState, dict[str, Array]]:
+        """Look where hand and mouth are now."""
+        return ReachState(sensed.mouth_pos_w, _distance(sensed)), {}
+
+    def rewards(
+        self, state: ReachState, events: dict[str, Array], sensed: Sensed, action: Array
+    ) -> dict[str, Array]:
+        """Weighted terms."""
+        c = self.config
+        return {
+            "distance": -c.distance * state.distance,
+            **preference_terms(
+                c.preferences,
+                jnp.linalg.norm(sensed.tool.vel_w),
+                sensed.force_on_person,
+                jnp.float32(0.0),
+            ),
+        }
+
+    def observe(self, state: ReachState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+        """What robot and person see."""
+        hand, head = sensed.tool, sensed.link_quat_w["head"]
+        to_mouth = hand.pos_w - state.mouth_pos_w
+        robot = RobotObs(
+            hand_pos_torso=hand.pos_w - sensed.torso_pos_w,
+            hand_pos_mouth=to_mouth,
+            arm_angles=sensed.arm_angles,
+            hand_quat_w=hand.quat_w,
+            head_quat_w=head,
+        )
+        person = PersonObs(
+            hand_pos_person=hand.pos_w - sensed.person_pos_w,
+            hand_pos_mouth=to_mouth,
+            person_angles=sensed.person_angles,
+            hand_quat_w=hand.quat_w,
+            head_quat_w=head,
+            force_on_person=sensed.force_on_person,
+        )
+        return robot, person
+
+    def success(self, state: ReachState) -> Array:
+        """Whether the hand is at the mouth now ()."""
+        return state.distance <= self.config.reached
+
+    def markers(self, state: ReachState) -> list[tuple[Array, float, tuple[float, ...]]]:
+        """Points to draw: a green sphere of 1 cm at the mouth."""
+        return [(state.mouth_pos_w, 0.01, (0.0, 1.0, 0.0, 1.0))]
+
+
+def _distance(sensed: Sensed) -> Array:
+    return jnp.linalg.norm(sensed.tool.pos_w - sensed.mouth_pos_w)
+
+
+REACHING = Reaching()

@@ -59,9 +59,9 @@ def load_postures(name: str) -> Postures:
     if not path.is_file():
         raise MissingPostureError(f"There is no bank of postures {path}. {remedy}")
     try:
-        with np.load(path, allow_pickle=False) as z:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as z:
             bank = Postures(**{f.name: np.asarray(z[f.name], np.float32) for f in fields(Postures)})
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise MissingPostureError(f"{path} cannot be read ({error}). {remedy}") from error
     for field, shape in SHAPES.items():
         value = getattr(bank, field)

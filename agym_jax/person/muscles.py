@@ -5,8 +5,8 @@ most ``max_torque * strength`` (reference humans.md section 7). Here the muscle'
 bears the limb's weight included, is clipped to the same bound, and the damping of that velocity
 servo is the joint's own, which MuJoCo integrates implicitly.
 
-DEVIATION(girdle-support): the shoulder girdle bears the weight of the arm passively, as ligaments do,
-whatever the person's strength. With AG's misplaced mass the girdle's load stays below the bound;
+DEVIATION(girdle-support): a seated person's girdle bears the weight of the arm passively, as ligaments
+do, whatever the strength. With AG's misplaced mass the girdle's load stays below the bound;
 with the mass where it belongs every arm would sink 3 cm at the start of an episode.
 DEVIATION(muscle-damping): a limb pushed by the robot yields like a damper instead of standing still
 up to the torque bound and moving freely beyond it.
@@ -73,5 +73,7 @@ def torque(
     rate = jnp.where(moving, spec.move_rate, holds * spec.hold_rate)
     gain = damping(spec, strength, moving) * rate
     bound = spec.max_torque * strength * jnp.where(moving, 1.0, holds)
-    passive = jnp.where(np.array(["clavicle" in name for name in spec.joints]), load, 0.0)
+    seated = not spec.postures  # in bed the mattress bears the arm
+    girdle = np.array([seated and "clavicle" in name for name in spec.joints], bool)
+    passive = jnp.where(girdle, load, 0.0)
     return passive + jnp.clip(load - passive + gain * (target - angle), -bound, bound)

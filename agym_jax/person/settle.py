@@ -300,10 +300,12 @@ def build_bank(name: str, seed: int = 0, size: int = 512) -> tuple[Postures, Cou
     rows: list[Postures] = []
     while len(rows) < size:
         kind = 8 * len(rows) // (3 * size)
-        who = (float(kind), 1.0, 1.0)
+        sex, stature, girth = float(kind), 1.0, 1.0
         if kind == 2:
-            who = tuple(rng.uniform(*x) for x in (people.blend, people.stature, people.girth))
-        row = settle(name, *who, rng)
+            sex, stature, girth = (
+                rng.uniform(*x) for x in (people.blend, people.stature, people.girth)
+            )
+        row = settle(name, sex, stature, girth, rng)
         counts["kept" if isinstance(row, Postures) else row] += 1
         rows += [row] if isinstance(row, Postures) else []
         print(f"\r{name}: {len(rows)}/{size}", end="", flush=True)

@@ -9,8 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from agym_jax import kinematics, placement
+from agym_jax import kinematics, placement, search
 from agym_jax.errors import SpecError
+from agym_jax.person import pose as person_pose
 from agym_jax.robots import ROBOTS
 from agym_jax.scene import build_scene
 from agym_jax.tasks import TASKS
@@ -18,7 +19,7 @@ from agym_jax.tasks import TASKS
 TASK, ROBOT = TASKS["ScratchItch"], ROBOTS["Jaco"]
 SCENE = build_scene(TASK, ROBOT)
 INDEX, MODEL = SCENE.index, SCENE.model
-SITE = MODEL.site(f"robot/{SCENE.arm.end_effector}").id
+SITE = MODEL.site(f"robot/{SCENE.arms[0].end_effector}").id
 CHAIN = kinematics.chain_of(MODEL, INDEX.robot_joint, SITE, INDEX.robot_base)
 BASE_POS, BASE_ROT = (
     MODEL.body_pos[INDEX.robot_base],
@@ -81,15 +82,29 @@ def test_inverse_reaches_what_can_be_reached():
         return jax.vmap(lambda p, r: jax.vmap(lambda s: one(p, r, s))(starts))(pos, rot)
 
     angles, distance, turn = (np.asarray(x) for x in solve(pos, rot))
-    reached = (distance < placement.REACHED) & (turn < placement.REACHED_ROTATION)
+    reached = (distance < search.REACHED) & (turn < search.REACHED_ROTATION)
     # every goal is some pose's, so 12 beginnings find nearly all of them
     assert reached.any(1).mean() >= 0.9
     assert (angles >= CHAIN.lower).all() and (angles <= CHAIN.upper).all()
     for i, j in zip(*np.nonzero(reached), strict=True):  # and what it claims is true
         c_pos, c_rot, _ = _c_pose(angles[i, j])
-        assert np.linalg.norm(c_pos - np.asarray(pos[i])) < placement.REACHED + 1e-5
+        assert np.linalg.norm(c_pos - np.asarray(pos[i])) < search.REACHED + 1e-5
         cosine = (np.trace(c_rot @ np.asarray(rot[i]).T) - 1) / 2
-        assert np.arccos(np.clip(cosine, -1, 1)) < placement.REACHED_ROTATION + 1e-3
+        assert np.arccos(np.clip(cosine, -1, 1)) < search.REACHED_ROTATION + 1e-3
+
+
+def test_inverse_without_weight_leaves_the_orientation_free():
+    goal = _angles(1, seed=5)[0]
+    pos, rot, _ = (x[0] for x in forward(goal[None]))
+    turned = jnp.asarray(rot) @ kinematics.rotate_about(jnp.array([1.0, 0.0, 0.0]), 2.0)
+    start = jnp.asarray(goal + 0.1, jnp.float32)
+    free, distance, turn = kinematics.inverse(CHAIN, start, pos, turned, weight=0.0)
+    c_pos, c_rot, _ = _c_pose(np.asarray(free))
+    assert distance < search.REACHED and np.linalg.norm(c_pos - np.asarray(pos)) < search.REACHED
+    # the rest of the way is still told, and near what it was
+    cosine = (np.trace(c_rot.T @ np.asarray(turned)) - 1) / 2
+    np.testing.assert_allclose(turn, np.arccos(cosine), atol=1e-3)
+    assert turn > 1.0
 
 
 def test_inverse_says_when_a_pose_is_out_of_reach():
@@ -108,8 +123,9 @@ def test_isotropy_falls_at_a_joint_limit():
 
 
 def test_chain_refuses_a_site_of_something_else():
+    chest = INDEX.person_body[INDEX.links.index("chest")]
     with pytest.raises(SpecError, match="does not hang on body"):
-        kinematics.chain_of(MODEL, INDEX.robot_joint, INDEX.tip_site, INDEX.chest_body)
+        kinematics.chain_of(MODEL, INDEX.robot_joint, INDEX.tools[0].tip, chest)
     with pytest.raises(SpecError, match="1 joints are not between"):
         joints = np.append(INDEX.robot_joint, INDEX.person_joint[0])
         kinematics.chain_of(MODEL, joints, SITE, INDEX.robot_base)
@@ -128,15 +144,16 @@ def test_every_row_of_the_bank_starts_where_assistive_gym_does():
         pos, rot, _ = _c_pose(angles)
         pos, rot = BASE_POS + BASE_ROT @ pos, BASE_ROT @ rot
         # tasks.md section 2: (-0.5, 0, 0.8) + U(-0.05, 0.05)^3, Euler (0, pi/2, 0): z along world x
-        assert np.abs(pos - [-0.5, 0.0, 0.8]).max() < 0.05 + placement.REACHED
-        assert np.arccos(min(1.0, rot[0, 2])) < placement.REACHED_ROTATION + 1e-3
+        assert np.abs(pos - [-0.5, 0.0, 0.8]).max() < 0.05 + search.REACHED
+        assert np.arccos(min(1.0, rot[0, 2])) < search.REACHED_ROTATION + 1e-3
         low, high = np.minimum(low, pos), np.maximum(high, pos)
     assert (high - low > 0.09).all()  # the box is filled
 
 
 def test_no_row_of_the_bank_touches_anything():
-    pose = [TASK.person.pose.get(j, 0.0) for j in TASK.person.joints]
-    for model in (SCENE.model, SCENE.female):
+    for sex, model in enumerate((SCENE.model, SCENE.female)):
+        typical = person_pose.typical(TASK.person, sex)
+        pose = person_pose.start_angles(typical, SCENE.moving, 1.0, np)
         data = mujoco.MjData(model)
         for angles in placement.load_bank(TASK, ROBOT).arm_angles:
             data.qpos[INDEX.robot_qpos], data.qpos[INDEX.person_qpos] = angles, pose

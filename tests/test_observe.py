@@ -11,6 +11,7 @@ from jax import Array
 from agym_jax import observe
 from agym_jax.errors import SpecError
 from agym_jax.observe import column, observation
+from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
 
 TASK = TASKS["ScratchItch"]
@@ -44,6 +45,25 @@ def test_layout_is_the_references(record: type, expected: dict, total: int):
     slices = observe.layout(record)
     assert slices[list(expected)[-1]].stop == total
     assert [s.start for s in slices.values()] == list(np.cumsum([0, *expected.values()][:-1]))
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize(
+    ("task", "robot_action", "person_action", "robot_obs", "person_obs"),
+    [  # tasks.md section 1.2
+        ("ScratchItch", 7, 10, 30, 34), ("BedBathing", 7, 10, 24, 28),
+        ("ArmManipulation", 14, 10, 45, 42), ("Reaching", 7, 4, 21, 19),
+    ],
+)  # fmt: skip
+def test_every_pair_has_the_references_sizes(
+    task: str, robot: str, robot_action: int, person_action: int, robot_obs: int, person_obs: int
+):
+    spec = TASKS[task]
+    assert (observe.size(spec.robot_obs), observe.size(spec.person_obs)) == (robot_obs, person_obs)
+    assert len(spec.person.moving(active=True)) == person_action
+    joints = [j for arm in ROBOTS[robot].arms_for(spec) for j in arm.joints]
+    one_armed = robot in ("Jaco", "Sawyer")  # deviation one-arm: AG ignores 7 of the 14
+    assert len(joints) == (7 if one_armed else robot_action)
 
 
 def test_environments_have_the_references_sizes(static_env, active_env):

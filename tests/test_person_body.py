@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -10,9 +11,12 @@ import pytest
 
 from agym_jax.errors import UnknownNameError
 from agym_jax.person import anthropometry, body
+from agym_jax.person import pose as person_pose
+from agym_jax.person.draw import People, draw_person
 from agym_jax.person.model import build
+from agym_jax.person.posture import load_postures
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import compose, person_rows
+from agym_jax.scene import build_scene, compose
 from agym_jax.tasks import TASKS
 
 TASK, ROBOT = TASKS["ScratchItch"], ROBOTS["Jaco"]
@@ -116,10 +120,19 @@ def test_compiled_scene_seats_the_person_as_the_reference_does(who: str):
             np.testing.assert_allclose(found, expected, atol=1e-4, err_msg=f"{who} {link}")
 
 
+def _seated(
+    sex: float, stature: float = 1.0, girth: float = 1.0, scale: float = 1.0
+) -> body.BodyFields:
+    """Rows of a person who sits as ScratchItch wants, welded but for the right arm."""
+    d, pose = anthropometry.dims(sex, stature, girth), TASK.person
+    sits = person_pose.typical(pose, sex, stature, girth)
+    return person_pose.rows(pose, sits, d, pose.joints, scale, np)
+
+
 @pytest.mark.parametrize(("who", "mass"), [("male", 78.4), ("female", 62.5)])
 def test_masses(who: str, mass: float):
     # humans.md section 1: sum of all masses; section 2: the limbs' shares
-    rows = person_rows(TASK, anthropometry.dims(SEX[who]), SEX[who], 1.0, 1.0, 1.0, np)
+    rows = _seated(SEX[who])
     np.testing.assert_allclose(rows.body_mass.sum(), mass, rtol=1e-9)
     for link, share in {"chest": 0.1, "right_upper_arm": 0.033, "left_hand": 0.0065}.items():
         np.testing.assert_allclose(rows.body_mass[ROW[link]], share * mass, rtol=1e-9)
@@ -212,16 +225,25 @@ def _somebody(seed: int) -> tuple[float, float, float, float]:
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
 @pytest.mark.parametrize("seed", range(3))
-def test_jax_numpy_and_compiled_model_are_the_same_person(seed: int, static_env):
+def test_jax_numpy_and_compiled_model_are_the_same_person(seed: int, task):
     sex, stature, girth, scale = _somebody(seed)
-    d = anthropometry.dims(sex, stature, girth)
-    rows = person_rows(TASK, d, sex, stature, girth, scale, np)
+    spec, moving = task.person, task.person.moving(False)
+    d, pose = (
+        anthropometry.dims(sex, stature, girth),
+        person_pose.typical(spec, sex, stature, girth),
+    )
+    rows = person_pose.rows(spec, pose, d, moving, scale, np)
     args = [jnp.float32(x) for x in (sex, stature, girth)]
-    in_jax = person_rows(TASK, anthropometry.dims(*args), *args, jnp.float32(scale), jnp)
+    in_jax = person_pose.rows(
+        spec, jax.tree.map(jnp.asarray, pose), anthropometry.dims(*args), moving,
+        jnp.float32(scale), jnp,
+    )  # fmt: skip
     for name, a, b in zip(rows._fields, rows, in_jax, strict=True):
         np.testing.assert_allclose(b, a, atol=2e-6, rtol=2e-6, err_msg=name)  # float32
-    model, index = compose(TASK, ROBOT, sex, stature, girth, scale), static_env.scene.index
+    model = compose(task, ROBOT, False, sex, stature, girth, scale)
+    index = build_scene(task, ROBOT).index
     where = {"body": index.person_body, "geom": index.person_geom, "jnt": index.person_joint}
     for name, a in zip(rows._fields, rows, strict=True):
         found = getattr(model, name)[where[name.split("_")[0]]]
@@ -240,8 +262,62 @@ def test_jax_numpy_and_compiled_model_are_the_same_person(seed: int, static_env)
 @pytest.mark.parametrize("seed", range(5))
 def test_thighs_stay_on_the_seat_whatever_the_size(seed: int):
     sex, stature, girth, _ = _somebody(10 + seed)
-    d = anthropometry.dims(sex, stature, girth)
-    rows = person_rows(TASK, d, sex, stature, girth, 1.0, np)
-    underside = rows.body_pos[ROW["right_thigh"]][2] - d.thigh_r
+    rows = _seated(sex, stature, girth)
+    underside = rows.body_pos[ROW["right_thigh"]][2]
+    underside -= anthropometry.dims(sex, stature, girth).thigh_r
     # male 0.89 - 0.156 - 2 * 0.08125 - 0.08 = 0.4915, female 0.86 - 0.15 - 2 * 0.075 - 0.0775
     np.testing.assert_allclose(underside, 0.4915 + sex * (0.4825 - 0.4915), atol=1e-6)
+
+
+@pytest.mark.parametrize("who", SEX)
+def test_people_in_bed_lie_on_its_mattress(who: str):
+    # tasks.md sections 3, 7: heads towards +y, settled at about z 0.875 (furniture.md section 3)
+    spec = TASKS["BedBathing"].person
+    d, pose = anthropometry.dims(SEX[who]), person_pose.typical(spec, SEX[who])
+    rows = person_pose.rows(spec, pose, d, (), 1.0, np)
+    chest, head, foot = (rows.body_pos[ROW[n]] for n in ("chest", "head", "right_foot"))
+    np.testing.assert_allclose(chest, (-0.15, 0.2, 0.875), atol=0.06)
+    assert head[1] > chest[1] + 0.2 and foot[1] < chest[1] - 0.9
+    for link, sign in (("right_upper_arm", -1), ("left_upper_arm", 1)):  # face up
+        assert sign * (rows.body_pos[ROW[link]][0] - chest[0]) > 0.1
+
+
+def test_start_angles_keep_to_the_persons_limits():
+    spec = TASKS["ScratchItch"].person
+    pose = person_pose.typical(spec, 0.0)
+    free = person_pose.start_angles(pose, spec.joints, 1.0, np)
+    stiff = person_pose.start_angles(pose, spec.joints, 0.5, np)
+    # shoulder 30, elbow -90 degrees; narrowed by half the elbow stops at -64
+    expected = np.zeros(10)
+    expected[[3, 6]] = np.deg2rad((30, -90))
+    np.testing.assert_allclose(free, expected, atol=1e-6)
+    expected[6] = np.deg2rad(-64)
+    np.testing.assert_allclose(stiff, expected, atol=1e-6)
+    assert person_pose.start_angles(pose, (), 1.0, np).shape == (0,)
+
+
+def test_drawn_heads_turn_within_their_range():
+    # tasks.md section 8: head as Feeding, angles 21 to 23 uniform within 30 degrees
+    spec = TASKS["Reaching"].person
+    people = jax.vmap(lambda k: draw_person(k, People(), 4, 0.0, ("none",)))
+    keys = jax.random.split(jax.random.PRNGKey(0), 1000)
+    poses = jax.vmap(lambda k, p: person_pose.draw_pose(k, spec, p))(keys, people(keys))
+    angles = np.rad2deg(np.asarray(poses.angles))
+    order = list(body.JOINTS)
+    head = angles[:, [order.index(j) for j in ("head_x", "head_y", "head_z")]]
+    assert np.abs(head).max() <= 30 + 1e-4 and (np.abs(head).max(0) > 29).all()
+    assert np.abs(np.corrcoef(head.T)[np.triu_indices(3, 1)]).max() < 0.15
+    for joint, angle in {"r_elbow_x": -90, "l_knee_x": 80, "neck_x": 0}.items():
+        np.testing.assert_allclose(angles[:, order.index(joint)], angle, atol=1e-4)
+
+
+def test_drawn_people_in_bed_lie_as_somebody_of_their_size_did():
+    spec = TASKS["BedBathing"].person
+    bank = load_postures(spec.postures)
+    keys = jax.random.split(jax.random.PRNGKey(0), 64)
+    people = jax.vmap(lambda k: draw_person(k, People(), 0, 0.0, ("none",)))(keys)
+    poses = jax.vmap(lambda k, p: person_pose.draw_pose(k, spec, p))(keys, people)
+    rows = [np.abs(bank.angles - a).max(1).argmin() for a in np.asarray(poses.angles)]
+    np.testing.assert_array_equal(bank.angles[rows], poses.angles)
+    assert len(set(rows)) > 8  # of several who did
+    assert np.abs(bank.sex[rows] - people.sex).max() < 0.3

@@ -19,6 +19,7 @@ def test_every_listed_id_parses_into_itself():
     ids = list_envs()
     assert len(ids) == len(set(ids)) == 2 * len(TASKS) * len(ROBOTS)
     assert agym_jax.list_envs() == ids
+    assert {"ReachingPR2-v0", "BedBathingSawyer-v0", "ArmManipulationBaxterHuman-v0"} <= set(ids)
     for name in ids:
         recipe = parse(name)
         assert recipe.name == name

@@ -12,33 +12,54 @@ import numpy as np
 import pytest
 
 from agym_jax.kinematics import rotation_matrix
+from agym_jax.person import anthropometry
 from agym_jax.preferences import preference_terms
-from agym_jax.sense import Sensed
+from agym_jax.sense import Sensed, ToolSensed
 from agym_jax.spec import Preferences
 from agym_jax.tasks.scratch_itch import SCRATCH_ITCH as TASK
 from agym_jax.tasks.scratch_itch import ItchState
 
+MAN = anthropometry.dims(0.0)
 UPPER, FORE = (0.279, 0.043), (0.257, 0.033)  # length, radius of a man [m], humans.md section 3
 SHOULDER, ELBOW = np.array([-0.179, 0.03, 1.0315]), np.array([-0.3185, 0.03, 0.7899])
 TURN = rotation_matrix(np.array([0.8, 0.36, -0.48, 0.0]))
+LINKS = {
+    "chest": np.array([0, 0.03, 0.89]), "right_upper_arm": SHOULDER, "right_forearm": ELBOW,
+    "right_hand": np.array([-0.3185, -0.26, 0.79]),
+}  # fmt: skip
+AIR = {
+    "pos_w": np.array([-0.5, 0.0, 0.8]), "quat_w": np.array([1.0, 0, 0, 0]), "vel_w": np.zeros(3),
+    "gap": 0.2, "touch_force": np.zeros(3), "touch_pos_w": np.zeros((3, 3)),
+    "touch_working": np.array([1.0, 1.0, 0.0]), "on_person": 0.0, "force": 0.0,
+}  # fmt: skip
 
 
-def sensed(**changes: Any) -> Sensed:
-    """A man at rest with the tool in the air."""
-    nothing: dict[str, Any] = {
-        "tool_pos_w": np.array([-0.5, 0.0, 0.8]), "tool_quat_w": np.array([1.0, 0, 0, 0]),
-        "tool_vel_w": np.zeros(3), "arm_angles": np.zeros(7), "torso_pos_w": np.array([-0.35, -0.3, 0.5]),
-        "person_angles": np.zeros(10), "person_pos_w": np.array([0, 0.03, 0.89]),
-        "shoulder_pos_w": SHOULDER, "elbow_pos_w": ELBOW, "wrist_pos_w": np.array([-0.3185, -0.26, 0.79]),
-        "upper_arm_rot_w": np.eye(3), "forearm_rot_w": TURN,
-        "upper_arm_length": UPPER[0], "upper_arm_radius": UPPER[1],
-        "forearm_length": FORE[0], "forearm_radius": FORE[1],
-        "touch_force": np.zeros(3), "touch_pos_w": np.zeros((3, 3)),
-        "tool_on_person": 0.0, "robot_on_person": 0.0, "tool_force": 0.0,
+def changed(nothing: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    assert set(changes) <= set(nothing), set(changes) - set(nothing)
+    return jax.tree.map(lambda v: jnp.asarray(v, jnp.float32), nothing | changes)
+
+
+def sensed(
+    tool: dict[str, Any] | None = None,
+    links: dict[str, Any] | None = None,
+    turns: dict[str, Any] | None = None,
+    **changes: Any,
+) -> Sensed:
+    """A man at rest with the tool in the air, but for what is given."""
+    quat = {k: np.array([1.0, 0, 0, 0]) for k in LINKS}
+    rot = {k: np.eye(3) for k in LINKS} | {"right_forearm": TURN}
+    rest = {
+        "arm_angles": np.zeros(7), "torso_pos_w": np.array([-0.35, -0.3, 0.5]),
+        "person_angles": np.zeros(10), "robot_on_person": 0.0,
     }  # fmt: skip
-    unknown = set(changes) - set(nothing)
-    assert not unknown, unknown
-    return Sensed(**{k: jnp.asarray(v, jnp.float32) for k, v in (nothing | changes).items()})
+    return Sensed(
+        tools=(ToolSensed(**changed(AIR, tool or {})),),
+        link_pos_w=changed(LINKS, links or {}),
+        link_rot_w=changed(rot, turns or {}),
+        link_quat_w=changed(quat, {}),
+        dims=MAN,
+        **changed(rest, changes),
+    )
 
 
 def itch(target: Any = (0.0, -0.033, -0.1), on_forearm: float = 1.0, **changes: Any) -> ItchState:
@@ -52,12 +73,14 @@ def itch(target: Any = (0.0, -0.033, -0.1), on_forearm: float = 1.0, **changes: 
 TARGET_W = ELBOW + TURN @ [0.0, -0.033, -0.1]  # of ``itch()`` on ``sensed()``
 
 
-def touching(force: float, offset: Any = (0.0, 0.0, 0.0), **changes: Any) -> Sensed:
+def touching(
+    force: float, offset: Any = (0.0, 0.0, 0.0), tool: dict[str, Any] | None = None, **changes: Any
+) -> Sensed:
     """The tool presses near the target, and nowhere else."""
     forces, places = np.zeros(3), np.zeros((3, 3))
     forces[1], places[1] = force, TARGET_W + np.asarray(offset)
-    changes = {"tool_on_person": force, "tool_force": force} | changes
-    return sensed(touch_force=forces, touch_pos_w=places, **changes)
+    touch = {"touch_force": forces, "touch_pos_w": places, "on_person": force, "force": force}
+    return sensed(touch | (tool or {}), **changes)
 
 
 def test_targets_lie_on_the_skin_of_either_limb():
@@ -80,15 +103,15 @@ def test_targets_lie_on_the_skin_of_either_limb():
 def test_target_moves_with_its_limb_and_not_with_the_other(fore: float):
     start = itch(on_forearm=fore)
     turn, shift = rotation_matrix(np.array([0.6, 0.0, 0.8, 0.0])), np.array([0.1, -0.2, 0.3])
-    mine, other = ("elbow", "shoulder") if fore else ("shoulder", "elbow")
-    limb = "forearm" if fore else "upper_arm"
-    old = ELBOW if fore else SHOULDER
-    moved = sensed(**{f"{mine}_pos_w": old + shift, f"{limb}_rot_w": turn})
+    limbs = ["right_upper_arm", "right_forearm"]
+    mine, other = reversed(limbs) if fore else limbs
+    old = LINKS[mine]
+    moved = sensed(links={mine: old + shift}, turns={mine: turn})
     state, _ = TASK.advance(start, moved)
     expected = old + shift + turn @ [0.0, -0.033, -0.1]
     np.testing.assert_allclose(state.target_pos_w, expected, atol=1e-6)
     before, _ = TASK.advance(start, sensed())
-    aside, _ = TASK.advance(start, sensed(**{f"{other}_pos_w": np.zeros(3)}))
+    aside, _ = TASK.advance(start, sensed(links={other: np.zeros(3)}))
     np.testing.assert_array_equal(before.target_pos_w, aside.target_pos_w)
 
 
@@ -140,10 +163,14 @@ def test_forces_near_the_target_add_up_and_may_be_too_much_together():
     places = np.stack(
         [TARGET_W, TARGET_W + np.array([0, 0, 0.02]), TARGET_W + np.array([0, 0, 0.1])]
     )
-    state, events = TASK.advance(itch(), sensed(touch_force=[3.0, 4.0, 50.0], touch_pos_w=places))
+    state, events = TASK.advance(
+        itch(), sensed({"touch_force": np.array([3.0, 4.0, 50.0]), "touch_pos_w": places})
+    )
     np.testing.assert_allclose(state.force_at_target, 7.0, rtol=1e-6)
     np.testing.assert_allclose(events["scratch"], 7.0, rtol=1e-6)
-    _, events = TASK.advance(itch(), sensed(touch_force=[6.0, 6.0, 0.0], touch_pos_w=places))
+    _, events = TASK.advance(
+        itch(), sensed({"touch_force": np.array([6.0, 6.0, 0.0]), "touch_pos_w": places})
+    )
     assert float(events["scratch"]) == 0.0
 
 
@@ -158,9 +185,8 @@ def test_success_at_25_scratches():
 def test_reward_is_assistive_gyms():
     """R = -|target - tip| - 0.01 |a|^2 + 0.01 F_target + 2 r_scratch + r_pref."""
     tip = TARGET_W + np.array([0.03, 0.0, 0.04])  # 50 mm away
-    seen = touching(
-        6.0, tool_pos_w=tip, tool_vel_w=[0.0, 0.3, 0.4], tool_on_person=8.0, robot_on_person=5.0
-    )
+    tool = {"pos_w": tip, "vel_w": np.array([0.0, 0.3, 0.4]), "on_person": 8.0}
+    seen = touching(6.0, tool=tool, robot_on_person=5.0)
     action = jnp.array([0.5, -0.5, 0.5, -0.5, 0.0, 0.0, 1.0])
     state, events = TASK.advance(itch(), seen)
     terms = TASK.rewards(state, events, seen, action)
@@ -190,60 +216,47 @@ def test_preferences(force: float, high: float):
 def test_observations_are_differences_along_world_axes():
     rng = np.random.default_rng(0)
     shift = np.array([0.3, -1.0, 2.0])
-    points = {
-        k: rng.normal(size=3)
-        for k in (
-            "tool_pos_w",
-            "torso_pos_w",
-            "person_pos_w",
-            "shoulder_pos_w",
-            "elbow_pos_w",
-            "wrist_pos_w",
-        )
-    }
-    s = sensed(**points, tool_force=3.0, tool_on_person=2.0, robot_on_person=0.5)
-    state, _ = TASK.advance(itch(), s)
-    robot, person = TASK.observe(dataclasses.replace(state, force_at_target=jnp.float32(1.5)), s)
-    np.testing.assert_allclose(
-        robot.tool_pos_torso, points["tool_pos_w"] - points["torso_pos_w"], atol=1e-6
-    )
-    np.testing.assert_allclose(
-        robot.tool_pos_target, points["tool_pos_w"] - state.target_pos_w, atol=1e-6
-    )
-    np.testing.assert_allclose(
-        robot.wrist_pos_torso, points["wrist_pos_w"] - points["torso_pos_w"], atol=1e-6
-    )
-    np.testing.assert_allclose(
-        person.elbow_pos_person, points["elbow_pos_w"] - points["person_pos_w"], atol=1e-6
-    )
-    np.testing.assert_allclose(
-        person.target_pos_person, state.target_pos_w - points["person_pos_w"], atol=1e-6
-    )
-    assert (
-        float(robot.tool_force),
-        float(person.force_on_person),
-        float(person.force_at_target),
-    ) == (3, 2.5, 1.5)
+    links = {k: rng.normal(size=3) for k in LINKS}
+    tip, torso = rng.normal(size=(2, 3))
+
+    def seen(by: np.ndarray) -> Sensed:
+        tool = {"pos_w": tip + by, "force": 3.0, "on_person": 2.0}
+        moved = {k: v + by for k, v in links.items()}
+        return sensed(tool, moved, torso_pos_w=torso + by, robot_on_person=0.5)
+
+    def looks(by: np.ndarray) -> Any:
+        state, _ = TASK.advance(itch(), seen(by))
+        state = dataclasses.replace(state, force_at_target=jnp.float32(1.5))
+        return state, TASK.observe(state, seen(by))
+
+    state, (robot, person) = looks(np.zeros(3))
+    chest, elbow, wrist = (links[k] for k in ("chest", "right_forearm", "right_hand"))
+    for found, expected in (
+        (robot.tool_pos_torso, tip - torso),
+        (robot.tool_pos_target, tip - state.target_pos_w),
+        (robot.shoulder_pos_torso, links["right_upper_arm"] - torso),
+        (robot.wrist_pos_torso, wrist - torso),
+        (person.elbow_pos_person, elbow - chest),
+        (person.target_pos_person, state.target_pos_w - chest),
+        (robot.tool_force, 3.0),
+        (person.force_on_person, 2.5),
+        (person.force_at_target, 1.5),
+    ):
+        np.testing.assert_allclose(found, expected, atol=1e-6)
     # moving everything together changes nothing
-    far = sensed(
-        **{k: v + shift for k, v in points.items()},
-        tool_force=3.0,
-        tool_on_person=2.0,
-        robot_on_person=0.5,
-    )
-    far_state, _ = TASK.advance(itch(), far)
-    far_state = dataclasses.replace(far_state, force_at_target=jnp.float32(1.5))
-    jax.tree.map(
-        lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5),
-        (robot, person),
-        TASK.observe(far_state, far),
-    )
+    same = lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5)  # noqa: E731
+    jax.tree.map(same, (robot, person), looks(shift)[1])
 
 
-def test_start_positions_fill_the_references_box():
-    # tasks.md section 2: (-0.5, 0, 0.8) + U(-0.05, 0.05)^3
-    p = np.asarray(jax.vmap(TASK.start)(jax.random.split(jax.random.PRNGKey(0), 2000)))
-    share = (p - [-0.5, 0.0, 0.8]) / 0.05
+@pytest.mark.parametrize(
+    ("robot", "x"), [("Jaco", -0.5), ("PR2", -0.55), ("Baxter", -0.55), ("Sawyer", -0.55)]
+)
+def test_start_positions_fill_the_references_box(robot: str, x: float):
+    # tasks.md section 2: (-0.5 or -0.55, 0, 0.8) + U(-0.05, 0.05)^3
+    keys = jax.random.split(jax.random.PRNGKey(0), 2000)
+    p = np.asarray(jax.vmap(lambda k: TASK.start(k, robot))(keys))
+    assert p.shape == (2000, 1, 3)  # one hand
+    share = (p[:, 0] - [x, 0.0, 0.8]) / 0.05
     assert (np.abs(share) <= 1 + 1e-5).all()
     assert (share.max(0) > 0.99).all() and (share.min(0) < -0.99).all()
 

@@ -1,0 +1,270 @@
+# ruff: noqa: D103
+"""BedBathing by hand: reference tasks.md section 3 and humans.md section 9, without physics."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from agym_jax.kinematics import rotation_matrix
+from agym_jax.person import anthropometry
+from agym_jax.person.draw import People
+from agym_jax.sense import Sensed, ToolSensed
+from agym_jax.tasks.bed_bathing import BED_BATHING as TASK
+from agym_jax.tasks.bed_bathing import PER_RING, RINGS, BathState
+
+# length and radius of upper arm and forearm [m], humans.md section 3; rings and points on each,
+# total and 30 % of it, rounded up: tasks.md section 3
+MAN = {"limbs": ((0.279, 0.043, 9, 9), (0.257, 0.033, 8, 6)), "total": 129, "enough": 39}
+WOMAN = {"limbs": ((0.264, 0.0355, 8, 7), (0.234, 0.027, 7, 5)), "total": 91, "enough": 28}
+PEOPLE = [(0.0, MAN), (1.0, WOMAN)]
+TURN = rotation_matrix(np.array([0.5, 0.5, -0.5, 0.5]))
+LINKS = {
+    "chest": np.array([-0.15, 0.2, 0.875]), "right_upper_arm": np.array([-0.32, 0.35, 0.85]),
+    "right_forearm": np.array([-0.4, 0.1, 0.83]), "right_hand": np.array([-0.42, -0.15, 0.8]),
+}  # fmt: skip
+ROTS = {k: np.eye(3) for k in LINKS} | {"right_forearm": TURN}
+AIR = {
+    "pos_w": np.array([-0.6, 0.2, 1.0]), "quat_w": np.array([0.6, 0.8, 0, 0]), "vel_w": np.zeros(3),
+    "gap": 0.1, "touch_force": np.zeros(3), "touch_pos_w": np.zeros((3, 3)),
+    "touch_working": np.array([1.0, 1.0, 0.0]), "on_person": 0.0, "force": 0.0,
+}  # fmt: skip
+REST = {
+    "arm_angles": np.arange(7.0), "torso_pos_w": np.array([-1.0, -0.5, 1.0]),
+    "person_angles": np.arange(10.0), "robot_on_person": 0.0,
+}  # fmt: skip
+
+
+def changed(nothing: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    assert set(changes) <= set(nothing), set(changes) - set(nothing)
+    return jax.tree.map(lambda v: jnp.asarray(v, jnp.float32), nothing | changes)
+
+
+def sensed(
+    sex: float = 0.0, links: dict[str, Any] | None = None, turns: dict[str, Any] | None = None,
+    tool: dict[str, Any] | None = None, **changes: Any,
+) -> Sensed:  # fmt: skip
+    """Somebody in bed with the wiper in the air, but for what is given."""
+    return Sensed(
+        tools=(ToolSensed(**changed(AIR, tool or {})),),
+        link_pos_w=changed(LINKS, links or {}),
+        link_rot_w=changed(ROTS, turns or {}),
+        link_quat_w={k: jnp.array([1.0, 0, 0, 0]) for k in LINKS},
+        dims=jax.tree.map(jnp.float32, anthropometry.dims(sex)),
+        **changed(REST, changes),
+    )
+
+
+def begin(sex: float = 0.0) -> BathState:
+    return TASK.init(jax.random.PRNGKey(0), sensed(sex))
+
+
+def touching(
+    *places: np.ndarray, force: float = 1.0, working: Any = (1, 1, 1), **more: Any
+) -> Sensed:
+    """Contacts at some places; the others of the three are idle."""
+    forces, where = np.zeros(3), np.zeros((3, 3))
+    forces[: len(places)], where[: len(places)] = force, places
+    tool = {"touch_force": forces, "touch_pos_w": where, "touch_working": np.array(working, float)}
+    return sensed(tool=tool | more.pop("tool", {}), **more)
+
+
+def here(state: BathState) -> np.ndarray:
+    """Points that exist, in the world (n, 3)."""
+    return np.asarray(state.points_w)[np.asarray(state.exists) > 0]
+
+
+@pytest.mark.parametrize(("sex", "who"), PEOPLE)
+def test_points_are_the_references_rings(sex: float, who: dict):
+    state = begin(sex)
+    assert np.asarray(state.exists).sum() == np.asarray(state.dirty).sum() == who["total"]
+    for limb, (length, radius, rings, around) in enumerate(who["limbs"]):
+        local = np.asarray(state.points_limb[limb])[np.asarray(state.exists[limb]) > 0]
+        expected = [
+            (-radius * np.sin(j * 0.03 / radius), -radius * np.cos(j * 0.03 / radius), -s)
+            for s in (length * (i + 1) / (rings + 1) for i in range(rings))
+            for j in range(around)
+        ]
+        np.testing.assert_allclose(local, expected, atol=1e-6)
+        # neighbours on a ring are 3 cm of skin apart, and the ring does not close evenly
+        gap = 2 * np.pi - (around - 1) * 0.03 / radius
+        assert np.deg2rad(40) < gap < np.deg2rad(106) and gap > 0.03 / radius
+
+
+@pytest.mark.parametrize("girth", [People().girth[0], People().girth[1]])
+@pytest.mark.parametrize("stature", [People().stature[0], People().stature[1]])
+@pytest.mark.parametrize("sex", [People().blend[0], People().blend[1]])
+def test_nobody_has_room_for_more_points_than_are_kept(sex: float, stature: float, girth: float):
+    d = anthropometry.dims(sex, stature, girth)
+    seen = dataclasses.replace(sensed(), dims=jax.tree.map(jnp.float32, d))
+    found = np.asarray(TASK.init(jax.random.PRNGKey(0), seen).exists).sum()
+    counts = [
+        (int(length / 0.03), int(2 * np.pi * r / 0.03))
+        for length, r in ((d.upper_arm_l, d.upper_arm_r), (d.forearm_l, d.forearm_r))
+    ]
+    assert max(n for n, _ in counts) <= RINGS and max(n for _, n in counts) <= PER_RING
+    assert found == sum(a * b for a, b in counts)
+
+
+def test_points_move_with_their_limb():
+    state, shift = begin(), np.array([0.1, -0.2, 0.3])
+    spun = rotation_matrix(np.array([0.6, 0.0, 0.8, 0.0]))
+    for limb, name in enumerate(("right_upper_arm", "right_forearm")):
+        moved = sensed(links={name: LINKS[name] + shift}, turns={name: spun})
+        after, _ = TASK.advance(state, moved)
+        expected = LINKS[name] + shift + np.asarray(state.points_limb[limb]) @ spun.T
+        np.testing.assert_allclose(after.points_w[limb], expected, atol=1e-6)
+        np.testing.assert_array_equal(after.points_w[1 - limb], state.points_w[1 - limb])
+    np.testing.assert_allclose(
+        here(state)[:81], LINKS["right_upper_arm"] + state.points_limb[0][state.exists[0] > 0]
+    )
+
+
+def test_contact_wipes_every_point_within_its_reach_and_no_other():
+    state = begin()
+    points = here(state)
+    place = points[40] + np.array([0.004, 0.003, 0.0])
+    near = np.linalg.norm(points - place, axis=1) < 0.025
+    after, events = TASK.advance(state, touching(place))
+    dirty = np.asarray(after.dirty)[np.asarray(state.exists) > 0]
+    np.testing.assert_array_equal(dirty, ~near)
+    assert float(events["wiped"]) == near.sum() >= 1
+    np.testing.assert_array_equal(after.exists, state.exists)
+    # between two rings, 27.9 mm apart, a contact reaches both
+    between = (points[40] + points[49]) / 2
+    _, events = TASK.advance(state, touching(between))
+    assert float(events["wiped"]) >= 2
+
+
+def test_nothing_is_wiped_twice():
+    state = begin()
+    places = here(state)[[0, 30, 100]]
+    near = np.linalg.norm(here(state)[:, None] - places, axis=-1).min(1) < 0.025
+    state, events = TASK.advance(state, touching(*places))
+    assert float(events["wiped"]) == near.sum()  # overlaps count once
+    for _ in range(3):
+        state, events = TASK.advance(state, touching(*places))
+        assert float(events["wiped"]) == 0
+    same, events = TASK.advance(state, touching(places[0], places[0]))
+    assert float(events["wiped"]) == 0
+    np.testing.assert_array_equal(same.dirty, state.dirty)
+
+
+@pytest.mark.parametrize(
+    ("force", "offset", "working", "counts"),
+    [
+        (0.1, 0.0, True, True),  # any force
+        (50.0, 0.0, True, True),
+        (0.0, 0.0, True, False),
+        (1.0, 0.0245, True, True),  # 25 mm, bed_bathing.py get_total_force
+        (1.0, 0.0255, True, False),
+        (1.0, 0.0, False, False),  # the plate and the handle do not wipe
+    ],
+)
+def test_what_wipes(force: float, offset: float, working: bool, counts: bool):
+    state = begin()
+    point = here(state)[0]  # the first ring's first: outwards is -y
+    place = point - np.array([0, offset, 0])
+    after, events = TASK.advance(state, touching(place, force=force, working=(working, 1, 1)))
+    wiped = np.asarray(state.dirty - after.dirty)[np.asarray(state.exists) > 0]
+    assert wiped[0] == counts and (counts or float(events["wiped"]) == 0)
+    np.testing.assert_allclose(after.pad_force, force * working, rtol=1e-6)
+
+
+def test_points_that_do_not_exist_cannot_be_wiped():
+    state = begin()
+    origin = LINKS["right_upper_arm"]  # where the padding lies
+    after, events = TASK.advance(state, touching(origin))
+    assert float(events["wiped"]) == 0 and (np.asarray(after.dirty) >= 0).all()
+
+
+@pytest.mark.parametrize(("sex", "who"), PEOPLE)
+def test_success_is_30_percent_of_this_persons_points(sex: float, who: dict):
+    state = begin(sex)
+    rows = np.flatnonzero(np.asarray(state.exists))
+    for wiped in (0, who["enough"] - 1, who["enough"], who["total"]):
+        dirty = np.asarray(state.exists).copy().ravel()
+        dirty[rows[:wiped]] = 0
+        left = dataclasses.replace(state, dirty=jnp.asarray(dirty.reshape(state.exists.shape)))
+        assert bool(TASK.success(left)) == (wiped >= who["enough"]), wiped
+
+
+def test_reward_is_assistive_gyms():
+    """R = -d_min - 0.01 |a|^2 + 5 N_new + r_pref."""
+    state = begin()
+    tool = {"gap": -0.004, "vel_w": np.array([0.3, 0.0, 0.4]), "on_person": 20.0}
+    seen = touching(
+        here(state)[0], np.array([9.0, 9, 9]), force=6.0, working=(1, 1, 0), tool=tool,
+        robot_on_person=5.0,
+    )  # fmt: skip
+    state, events = TASK.advance(state, seen)
+    n = float(events["wiped"])
+    assert n >= 1
+    action = jnp.array([0.5, -0.5, 0.5, -0.5, 0.0, 0.0, 1.0])
+    terms = TASK.rewards(state, events, seen, action)
+    expected = {
+        "distance": 0.004,  # negative inside
+        "action": -0.02,
+        "wiping": 5.0 * n,
+        "preference_velocity": -0.25 * 0.5,
+        # the pad's 12 N are wanted, the rest of the tool's and the robot's are not
+        "preference_force_nontarget": -0.01 * (20.0 + 5.0 - 12.0),
+        "preference_high_forces": -0.05 * 12.0,
+    }
+    assert set(terms) == set(expected)
+    for name, value in expected.items():
+        np.testing.assert_allclose(terms[name], value, rtol=1e-5, atol=1e-6, err_msg=name)
+
+
+def test_observations_are_differences_along_world_axes():
+    tip, torso, chest = np.array([-0.5, 0.1, 1.1]), np.array([-1, 0.2, 1.0]), LINKS["chest"]
+    seen = sensed(
+        tool={"pos_w": tip, "force": 3.0, "on_person": 2.0}, torso_pos_w=torso, robot_on_person=0.5
+    )
+    robot, person = TASK.observe(begin(), seen)
+    arm = [LINKS[f"right_{x}"] for x in ("upper_arm", "forearm", "hand")]
+    expected = [
+        (robot.tool_pos_torso, tip - torso), (robot.tool_quat_w, AIR["quat_w"]),
+        (robot.arm_angles, np.arange(7)), (robot.shoulder_pos_torso, arm[0] - torso),
+        (robot.elbow_pos_torso, arm[1] - torso), (robot.wrist_pos_torso, arm[2] - torso),
+        (robot.tool_force, 3.0),
+        (person.tool_pos_person, tip - chest), (person.tool_quat_w, AIR["quat_w"]),
+        (person.person_angles, np.arange(10)), (person.shoulder_pos_person, arm[0] - chest),
+        (person.elbow_pos_person, arm[1] - chest), (person.wrist_pos_person, arm[2] - chest),
+        (person.force_on_person, 2.5), (person.tool_on_person, 2.0),
+    ]  # fmt: skip
+    for found, value in expected:
+        np.testing.assert_allclose(found, value, atol=1e-6)
+    # nobody is told which points are left
+    wiped = dataclasses.replace(begin(), dirty=jnp.zeros_like(begin().dirty))
+    jax.tree.map(np.testing.assert_array_equal, (robot, person), TASK.observe(wiped, seen))
+
+
+@pytest.mark.parametrize("robot", ["PR2", "Jaco", "Baxter", "Sawyer"])
+def test_start_positions_fill_the_references_box(robot: str):
+    keys = jax.random.split(jax.random.PRNGKey(0), 2000)
+    p = np.asarray(jax.vmap(lambda k: TASK.start(k, robot))(keys))
+    share = (p - np.array([[-0.6, 0.2, 1.0]])) / 0.05
+    assert p.shape == (2000, 1, 3) and (np.abs(share) <= 1 + 1e-5).all()
+    assert (share.max(0) > 0.99).all() and (share.min(0) < -0.99).all()
+
+
+def test_markers_are_the_points_that_are_left():
+    state = begin()
+    state, events = TASK.advance(state, touching(here(state)[0]))
+    ((places, radius, colour),) = TASK.markers(state)
+    places = np.asarray(places)
+    shown = places[np.isfinite(places).all(1)]
+    np.testing.assert_array_equal(shown, np.asarray(state.points_w)[np.asarray(state.dirty) > 0])
+    assert len(shown) == 129 - int(events["wiped"]) and 0 < radius <= 0.01 and len(colour) == 4
+
+
+def test_bed_is_sticky_and_the_person_still():
+    # tasks.md section 3, furniture.md section 3: friction 5 of the bed times 0.5 of the person
+    assert TASK.seat.friction == 2.5 and TASK.gravity == -1.0
+    assert TASK.person.moving(active=False) == () and len(TASK.person.moving(active=True)) == 10

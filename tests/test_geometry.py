@@ -1,0 +1,143 @@
+# ruff: noqa: D103
+"""Distances between capsules, against sampling and against C MuJoCo."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from agym_jax.geometry import capsule_gap, segment_distance
+
+distance = jax.jit(segment_distance)
+
+
+def pairs(n: int, seed: int = 0) -> tuple[np.ndarray, ...]:
+    """Vectors between the centres and half axes of n pairs of segments: near, far and crossing."""
+    rng = np.random.default_rng(seed)
+    between = rng.normal(size=(n, 3)) * rng.uniform(0.05, 1.5, (n, 1))
+    u, v = rng.normal(size=(2, n, 3)) * rng.uniform(0.05, 1.0, (2, n, 1))
+    return tuple(x.astype(np.float32) for x in (between, u, v))
+
+
+def brute(between: np.ndarray, u: np.ndarray, v: np.ndarray, n: int = 401) -> np.ndarray:
+    """Least distance between points sampled on two segments: too great by at most half a step."""
+    s = np.linspace(-1.0, 1.0, n)
+    a, b = s[:, None] * u, s[:, None] * v
+    return np.linalg.norm(between + a[:, None] - b[None], axis=-1).min()
+
+
+def test_segments_are_as_far_apart_as_sampling_says():
+    between, u, v = pairs(200)
+    found = np.asarray(distance(between, u, v))
+    for i, got in enumerate(found):
+        step = 2 / 400 * (np.linalg.norm(u[i]) + np.linalg.norm(v[i]))
+        sampled = brute(between[i], u[i], v[i])
+        assert sampled - step / 2 - 1e-5 <= got <= sampled + 1e-5, i
+
+
+@pytest.mark.parametrize(
+    ("between", "u", "v", "expected"),
+    [
+        # two points; a point beside, beyond and on a segment
+        ((3, 4, 0), (0, 0, 0), (0, 0, 0), 5.0),
+        ((0, 2, 0.5), (0, 0, 0), (0, 0, 1), 2.0),
+        ((0, 3, 5), (0, 0, 0), (0, 0, 1), 5.0),
+        ((0, 0, 0.3), (0, 0, 0), (0, 0, 1), 0.0),
+        ((0, 3, 5), (0, 0, 1), (0, 0, 0), 5.0),
+        # parallel: side by side, overlapping in part, one behind the other, and turned round
+        ((2, 0, 0), (0, 0, 1), (0, 0, 1), 2.0),
+        ((2, 0, 1.5), (0, 0, 1), (0, 0, 1), 2.0),
+        ((0, 0, 5), (0, 0, 1), (0, 0, 1), 3.0),
+        ((3, 0, 6), (0, 0, 1), (0, 0, -1), 5.0),
+        # crossing at a height, end against middle, and end against end at right angles
+        ((0, 0, 0.7), (1, 0, 0), (0, 1, 0), 0.7),
+        ((3, 0, 0), (1, 0, 0), (0, 1, 0), 2.0),
+        ((4, 5, 0), (1, 0, 0), (0, 1, 0), 5.0),
+        ((0, 0, 0), (1, 0, 0), (0, 1, 0), 0.0),
+    ],
+)
+def test_segments_by_hand(between: tuple, u: tuple, v: tuple, expected: float):
+    args = [jnp.array(x, jnp.float32) for x in (between, u, v)]
+    np.testing.assert_allclose(distance(*args), expected, atol=1e-6)
+    back = [-args[0], args[2], args[1]]  # the other way round
+    np.testing.assert_allclose(distance(*back), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("angle", [1e-2, 1e-3, 1e-4, 1e-6])
+def test_nearly_parallel_segments_are_no_worse_than_parallel_ones(angle: float):
+    between = jnp.array([0.1, 0.0, 0.05])
+    u = jnp.array([0.0, 0.0, 0.15])
+    v = 0.15 * jnp.array([np.sin(angle), 0.0, np.cos(angle)], jnp.float32)
+    sampled = brute(np.asarray(between), np.asarray(u), np.asarray(v), 1001)
+    np.testing.assert_allclose(distance(between, u, v), sampled, atol=2e-4)
+
+
+def test_distance_broadcasts():
+    between, u, v = pairs(6)
+    grid = distance(between.reshape(2, 3, 3), u.reshape(2, 3, 3), v[0])
+    assert grid.shape == (2, 3)
+    np.testing.assert_allclose(grid[1, 2], distance(between[5], u[5], v[0]), atol=1e-6)
+
+
+XML = """
+<mujoco>
+  <worldbody>
+    <body mocap="true"><geom name="a" type="{a}" size="{ra} {la}"/></body>
+    <body mocap="true"><geom name="b" type="{b}" size="{rb} {lb}"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def c_and_capsules(rng: np.random.Generator, kinds: tuple[str, str]):
+    """MuJoCo's distance of two shapes somewhere, and the same two as ``capsule_gap`` takes them."""
+    (ra, rb), (la, lb) = rng.uniform(0.02, 0.15, 2), rng.uniform(0.02, 0.4, 2)
+    model = mujoco.MjModel.from_xml_string(
+        XML.format(a=kinds[0], b=kinds[1], ra=ra, rb=rb, la=la, lb=lb)
+    )
+    data = mujoco.MjData(model)
+    data.mocap_pos[:] = rng.uniform(-0.35, 0.35, (2, 3))
+    quat = rng.normal(size=(2, 4))
+    data.mocap_quat[:] = quat / np.linalg.norm(quat, axis=1, keepdims=True)
+    mujoco.mj_kinematics(model, data)
+    gap = mujoco.mj_geomDistance(model, data, 0, 1, 10.0, None)
+    half = np.where([k == "capsule" for k in kinds], (la, lb), 0.0)[:, None]
+    along = data.geom_xmat.reshape(2, 3, 3)[:, :, 2] * half
+    shapes = [
+        (data.geom_xpos[i : i + 1], along[i : i + 1], np.array([(ra, rb)[i]])) for i in (0, 1)
+    ]
+    return gap, *(tuple(jnp.asarray(x, jnp.float32) for x in s) for s in shapes)
+
+
+@pytest.mark.parametrize(
+    "kinds", [("capsule", "capsule"), ("sphere", "capsule"), ("sphere", "sphere")]
+)
+def test_gap_is_c_mujocos(kinds: tuple[str, str]):
+    rng = np.random.default_rng(1)
+    gaps, ours = [], []
+    for _ in range(60):
+        gap, a, b = c_and_capsules(rng, kinds)
+        gaps.append(gap)
+        ours.append(float(capsule_gap(a, b)))
+    assert min(gaps) < -0.01 < 0.01 < max(gaps)  # inside of each other, and apart
+    gaps, ours = np.array(gaps), np.array(ours)
+    apart = gaps > 0
+    np.testing.assert_allclose(ours[apart], gaps[apart], atol=2e-5)
+    # inside, C may name one of several pairs of points; both agree that it is inside
+    assert (ours[~apart] < 1e-5).all()
+
+
+def test_gap_is_the_least_over_all_pairs():
+    a = (jnp.array([[0.0, 0, 0], [5.0, 0, 0]]), jnp.zeros((2, 3)), jnp.array([0.1, 0.2]))
+    b = (jnp.array([[0.0, 1, 0], [5.0, 0, 0.5], [9.0, 9, 9]]), jnp.zeros((3, 3)), jnp.full(3, 0.05))
+    np.testing.assert_allclose(capsule_gap(a, b), 0.5 - 0.2 - 0.05, atol=1e-6)
+    np.testing.assert_allclose(capsule_gap(b, a), 0.5 - 0.2 - 0.05, atol=1e-6)
+
+
+def test_gap_of_nothing_is_infinite():
+    none = (jnp.zeros((0, 3)), jnp.zeros((0, 3)), jnp.zeros(0))
+    one = (jnp.zeros((1, 3)), jnp.zeros((1, 3)), jnp.ones(1))
+    assert capsule_gap(none, one) == capsule_gap(one, none) == jnp.inf

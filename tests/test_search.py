@@ -1,0 +1,265 @@
+# ruff: noqa: D102, D103
+"""Banks of start placements and the search that makes them, in C MuJoCo with everything solid."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from agym_jax import placement
+from agym_jax.clearance import Clearance
+from agym_jax.errors import MissingPlacementError, SpecError
+from agym_jax.kinematics import rotation_matrix
+from agym_jax.person import pose as person_pose
+from agym_jax.robots import ROBOTS
+from agym_jax.scene import compose
+from agym_jax.search import REACHED, REACHED_ROTATION, search
+from agym_jax.spec import BaseSearch, RobotSpec, Task
+from agym_jax.state import Placement
+from agym_jax.tasks import TASKS
+from agym_jax.tasks.arm_manipulation import ArmManipulation
+from agym_jax.tasks.bed_bathing import BedBathing
+from agym_jax.tasks.scratch_itch import ScratchItch
+
+PAIRS = [(task, robot) for task in TASKS for robot in ROBOTS]
+# tasks.md sections 2, 3, 7, 8: where the steered links start, each of them +- 5 cm
+START = {
+    "ScratchItch": ((-0.55, 0.0, 0.8),),
+    "BedBathing": ((-0.6, 0.2, 1.0),),
+    "ArmManipulation": ((-0.9, 0.7, 0.8), (-0.9, -0.3, 0.8)),
+    "Reaching": ((-0.15, -0.4, 1.0),),
+}
+JACO_STARTS = {"ScratchItch": ((-0.5, 0.0, 0.8),), "ArmManipulation": ((-0.9, 0.4, 1.0),)}
+
+
+def row_of(bank: Placement, i: int) -> Placement:
+    return jax.tree.map(lambda x: np.asarray(x)[i], bank)
+
+
+class Stage:
+    """A pair's man and woman in the pose in which an episode begins, with every shape solid."""
+
+    def __init__(self, task: Task, robot: RobotSpec):
+        self.arms = robot.arms_for(task)
+        self.worlds = []
+        moving = task.person.moving(active=False)
+        for sex in (0.0, 1.0):
+            model = compose(task, robot, sex=sex, solid=True)
+            data = mujoco.MjData(model)
+            pose = person_pose.typical(task.person, sex)
+            angles = person_pose.start_angles(pose, moving, 1.0, np)
+            for joint, angle in zip(moving, angles, strict=True):
+                data.qpos[model.joint(f"person/{joint}").qposadr[0]] = angle
+            self.worlds.append((model, data))
+        self.joints = [f"robot/{j}" for arm in self.arms for j in arm.joints]
+
+    def put(self, place: Placement) -> None:
+        for model, data in self.worlds:
+            root = model.body_rootid[model.joint(self.joints[0]).bodyid[0]]
+            model.body_pos[root], model.body_quat[root] = place.base_pos, place.base_quat
+            for joint, angle in zip(self.joints, place.arm_angles, strict=True):
+                data.qpos[model.joint(joint).qposadr[0]] = angle
+            mujoco.mj_kinematics(model, data)
+
+    def hands(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Position and rotation matrix of each steered link."""
+        _, data = self.worlds[0]
+        sites = [data.site(f"robot/{arm.end_effector}") for arm in self.arms]
+        return [(np.array(s.xpos), np.array(s.xmat).reshape(3, 3)) for s in sites]
+
+    def touching(self) -> list[tuple[str, str]]:
+        """Geoms of robot and tools that are inside of person or furniture, and which."""
+        found = []
+        for model, data in self.worlds:
+            names = [model.geom(i).name for i in range(model.ngeom)]
+            solid = [i for i, n in enumerate(names) if n and model.geom_group[i] == 3]
+            mine = [i for i in solid if names[i].startswith(("robot/", "tool"))]
+            other = [i for i in solid if names[i].startswith(("person/", "seat/"))]
+            assert len(mine) > 8 and len(other) > 19
+            for i in mine:
+                for j in other:
+                    apart = np.linalg.norm(data.geom_xpos[i] - data.geom_xpos[j])
+                    if apart > model.geom_rbound[i] + model.geom_rbound[j]:
+                        continue
+                    if mujoco.mj_geomDistance(model, data, i, j, 0.01, None) <= 0:
+                        found.append((names[i], names[j]))
+        return found
+
+
+@cache
+def stage(task: Task, robot: RobotSpec) -> Stage:
+    return Stage(task, robot)
+
+
+def turned_by(rot: np.ndarray, quat: Any) -> float:
+    """Angle from a rotation matrix to a quaternion wxyz [rad]."""
+    m = rotation_matrix(np.array(quat)).T @ rot
+    skew = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]) / 2
+    return float(np.arctan2(np.linalg.norm(skew), (np.trace(m) - 1) / 2))
+
+
+@pytest.mark.parametrize(("task", "robot"), PAIRS)
+def test_banks_rows_keep_to_limits_and_to_where_bases_may_stand(task: str, robot: str):
+    spec, machine = TASKS[task], ROBOTS[robot]
+    bank = placement.load_bank(spec, machine)
+    arms = machine.arms_for(spec)
+    n = len(bank.arm_angles)
+    assert n >= 128 and bank.arm_angles.shape == (n, 7 * len(arms))
+    assert all(np.isfinite(x).all() for x in (bank.base_pos, bank.base_quat, bank.arm_angles))
+    model, _ = stage(spec, machine).worlds[0]
+    joints = [f"robot/{j}" for arm in arms for j in arm.joints]
+    low, high = np.array([model.joint(j).range for j in joints]).T
+    assert (bank.arm_angles >= low - 1e-5).all() and (bank.arm_angles <= high + 1e-5).all()
+    np.testing.assert_allclose(np.linalg.norm(bank.base_quat, axis=1), 1.0, atol=1e-6)
+    fixed = machine.fixed_base(spec)
+    if fixed:
+        np.testing.assert_allclose(bank.base_pos, [fixed.pos] * n, atol=1e-6)
+        np.testing.assert_allclose(bank.base_quat, [fixed.quat] * n, atol=1e-6)
+        return
+    # robots.md section 7: up to rho beside the centre, on the person's right; yaw within 30 degrees
+    area = machine.base_search(task)
+    away = bank.base_pos - np.array(area.centre)
+    rho = 0.1 if robot == "Jaco" else 0.5
+    assert (-rho - 1e-5 <= away[:, 0]).all() and (away[:, 0] <= 1e-5).all()
+    assert (np.abs(away[:, 1]) <= rho + 1e-5).all() and (np.abs(away[:, 2]) < 1e-5).all()
+    assert np.abs(bank.base_quat[:, 1:3]).max() < 1e-6
+    yaw = 2 * np.arctan2(bank.base_quat[:, 3], bank.base_quat[:, 0])
+    assert np.abs(yaw).max() <= np.deg2rad(30) + 1e-5
+    assert np.ptp(bank.base_pos[:, 1]) > 0.5 * rho and np.ptp(yaw) > 0.3  # not one place only
+
+
+@pytest.mark.parametrize(("task", "robot"), PAIRS)
+def test_banks_rows_start_where_assistive_gym_does_and_touch_nothing(task: str, robot: str):
+    spec, machine = TASKS[task], ROBOTS[robot]
+    bank, world = placement.load_bank(spec, machine), stage(spec, machine)
+    starts = START[task]
+    if robot == "Jaco":
+        starts = JACO_STARTS.get(task, starts)
+    clearance = Clearance(spec, machine)
+    touching = {}
+    picks = np.random.default_rng(0).choice(len(bank.arm_angles), 20, replace=False)
+    for i in picks:
+        place = row_of(bank, i)
+        world.put(place)
+        for (pos, rot), start in zip(world.hands(), starts, strict=False):
+            assert np.abs(pos - start).max() < 0.05 + REACHED, i
+            assert turned_by(rot, machine.start_rotations[task]) < REACHED_ROTATION, i
+        assert clearance.outside(place) > 0 and clearance.inside(place) > 0, i
+        if pairs := world.touching():
+            touching[int(i)] = pairs
+    assert not touching
+
+
+def at(points: tuple[tuple[float, float, float], ...]) -> Any:
+    """A ``Task.start`` that is always the same."""
+    return lambda self, key, robot: jnp.array(points)
+
+
+SCRATCH_AT, WIPE_AT = ((-0.48, 0.03, 0.82),), ((-0.62, 0.17, 1.03),)
+LIFT_AT = ((-0.88, 0.68, 0.83), (-0.92, -0.28, 0.79))
+
+
+@dataclass(frozen=True)
+class ScratchHere(ScratchItch):
+    """Starts at one point, so that rows can be held against it."""
+
+    start = at(SCRATCH_AT)
+
+
+@dataclass(frozen=True)
+class WipeHere(BedBathing):
+    """The same, with a base to find."""
+
+    start = at(WIPE_AT)
+
+
+@dataclass(frozen=True)
+class LiftHere(ArmManipulation):
+    """The same, for two arms from one base."""
+
+    start = at(LIFT_AT)
+
+
+@pytest.mark.parametrize(
+    ("task", "robot", "points", "size"),
+    [
+        (ScratchHere(), ROBOTS["Jaco"], SCRATCH_AT, 8),
+        (WipeHere(), ROBOTS["Sawyer"], WIPE_AT, 8),
+        (LiftHere(), ROBOTS["Baxter"], LIFT_AT, 8),
+    ],
+    ids=["fixed-base", "free-base", "two-arms"],
+)
+def test_search_finds_rows_that_start_there_and_touch_nothing(
+    task: Task, robot: RobotSpec, points: tuple, size: int
+):
+    bank, report = search(task, robot, seed=3, size=size)
+    n = len(bank.arm_angles)
+    assert 1 <= n <= size and n == report.kept <= report.start_reached <= report.tried
+    assert set(report.goals_reached) == {name for names in task.goals for name in names}
+    assert all(0 < hits <= report.start_reached for hits in report.goals_reached.values())
+    assert f"{n} kept" in report.table()
+    world = stage(task, robot)
+    for i in range(n):
+        world.put(row_of(bank, i))
+        for (pos, rot), point in zip(world.hands(), points, strict=True):
+            assert np.linalg.norm(pos - point) < REACHED + 1e-5
+            assert turned_by(rot, robot.start_rotations[task.name]) < REACHED_ROTATION + 1e-4
+        assert not world.touching()
+
+
+def test_same_seed_same_rows():
+    task, robot = ScratchHere(), ROBOTS["Jaco"]
+    (a, _), (b, _), (c, _) = (search(task, robot, seed=s, size=4, restarts=4) for s in (0, 0, 1))
+    np.testing.assert_array_equal(a.arm_angles, b.arm_angles)
+    assert np.abs(np.asarray(a.arm_angles)[0] - np.asarray(c.arm_angles)[0]).max() > 1e-3
+
+
+def test_base_out_of_reach_is_refused():
+    far = dataclasses.replace(
+        ROBOTS["Sawyer"], searches={"BedBathing": BaseSearch((-4.0, 0.0, 0.905))}
+    )
+    with pytest.raises(SpecError, match=r"Sawyer finds no free start for BedBathing: .*by 0 %"):
+        search(WipeHere(), far, size=2, restarts=2)
+
+
+def test_goal_out_of_reach_is_named():
+    # Jaco stands beside the person's head
+    task = dataclasses.replace(WipeHere(), goals=(("right_upper_arm", "left_foot"),))
+    with pytest.raises(SpecError, match=r"'left_foot'.*searches\['BedBathing'\]"):
+        search(task, ROBOTS["Jaco"], size=4, restarts=4)
+
+
+def test_missing_bank_names_the_command():
+    toybot = dataclasses.replace(ROBOTS["Jaco"], name="Toybot")
+    command = r"python -m agym_jax\.placement build ReachingToybot-v0"
+    with pytest.raises(MissingPlacementError, match=command):
+        placement.load_bank(TASKS["Reaching"], toybot)
+
+
+def test_bank_comes_back_as_it_was_saved(tmp_path):
+    bank = placement.load_bank(TASKS["ScratchItch"], ROBOTS["Jaco"])
+    placement.save_bank(bank, tmp_path / "deep" / "bank.npz", {"seed": 7})
+    with np.load(tmp_path / "deep" / "bank.npz", allow_pickle=False) as z:
+        for field in dataclasses.fields(Placement):
+            np.testing.assert_array_equal(z[field.name], getattr(bank, field.name))
+        assert json.loads(str(z["provenance"])) == {"seed": 7}
+
+
+def test_command_line_reports_every_bank_and_refuses_nonsense(capsys: pytest.CaptureFixture):
+    assert placement.main(["report"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for task, robot in PAIRS:
+        (line,) = (x for x in lines if x.startswith(f"| {task}{robot} |"))
+        kept = len(placement.load_bank(TASKS[task], ROBOTS[robot]).arm_angles)
+        assert line.endswith(f"| {kept} |") and line.count("|") == 6
+    assert placement.main(["build", "ScratchItchJako-v0"]) == 1
+    assert "Did you mean 'ScratchItchJaco-v0'" in capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from agym_jax.person import pose as person_pose
 from agym_jax.scene import compose
 from agym_jax.spec import RobotSpec, Task
 from agym_jax.state import Placement
@@ -17,7 +18,15 @@ class Clearance:
     """Least distances over both of AG's people, with every collision geom of the scene."""
 
     def __init__(self, task: Task, robot: RobotSpec):
-        self.worlds = [_World(compose(task, robot, sex=sex, solid=True)) for sex in (0.0, 1.0)]
+        moving = task.person.moving(active=False)
+        self.worlds = []
+        for sex in (0.0, 1.0):
+            angles = person_pose.start_angles(
+                person_pose.typical(task.person, sex), moving, 1.0, np
+            )
+            world = _World(compose(task, robot, sex=sex, solid=True))
+            world.bend([f"person/{j}" for j in moving], angles)
+            self.worlds.append(world)
         self.joints = [f"robot/{j}" for arm in robot.arms_for(task) for j in arm.joints]
 
     def outside(self, place: Placement) -> float:
@@ -74,9 +83,12 @@ class _World:
     def pose(self, place: Placement, joints: list[str]) -> None:
         self.model.body_pos[self.root] = place.base_pos
         self.model.body_quat[self.root] = place.base_quat
-        for name, angle in zip(joints, np.asarray(place.arm_angles), strict=True):
-            self.data.qpos[self.model.joint(name).qposadr[0]] = angle
+        self.bend(joints, np.asarray(place.arm_angles))
         mujoco.mj_kinematics(self.model, self.data)
+
+    def bend(self, joints: list[str], angles: np.ndarray) -> None:
+        for name, angle in zip(joints, angles, strict=True):
+            self.data.qpos[self.model.joint(name).qposadr[0]] = angle
 
     def least(self, pairs: np.ndarray, stop: float) -> float:
         """Least distance over geom pairs, at most FAR; not resolved below ``stop`` [m]."""

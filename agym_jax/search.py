@@ -72,7 +72,7 @@ class Report:
 
 
 def search(
-    task: Task, robot: RobotSpec, seed: int = 0, size: int = 512, restarts: int = 8
+    task: Task, robot: RobotSpec, seed: int = 0, size: int = 512, restarts: int = 32
 ) -> tuple[Placement, Report]:
     """Find start placements for a task-robot pair.
 
@@ -81,7 +81,8 @@ def search(
         robot: gives bases, orientations and chains.
         seed: of everything random.
         size: rows to return, at most.
-        restarts: random beginnings of the inverse kinematics of every pose.
+        restarts: random beginnings of the inverse kinematics of a start pose, so that its best
+            family of solutions is found; a quarter of them for the further goals.
 
     Returns:
         the rows, best first, and how the search went.
@@ -104,11 +105,11 @@ def search(
     reached: dict[str, np.ndarray] = {}
     names = _goal_names(task, len(chains))
     for a, chain in enumerate(chains):
-        solve = partial(_solve, chain, restarts=restarts)
+        solve = partial(_solve, chain)
         to_base = lambda p: np.einsum("nji,nj->ni", rots, p - goals.base_pos)  # noqa: E731
         turn = np.einsum("nji,jk->nik", rots, rotations[a])
         key, sub = jax.random.split(key)
-        q, distance, rotation, score = solve(sub, to_base(goals.start[:, a]), turn, 0.3)
+        q, distance, rotation, score = solve(sub, to_base(goals.start[:, a]), turn, 0.3, restarts)
         good = (distance < REACHED) & (rotation < REACHED_ROTATION)
         best = np.argmax(np.where(good, score, -1.0), axis=1)
         rows = np.arange(n)
@@ -117,7 +118,9 @@ def search(
         scores += np.where(good[rows, best], score[rows, best], 0.0)
         for i, name in enumerate(names[a]):
             key, sub = jax.random.split(key)
-            _, distance, _, score = solve(sub, to_base(goals.points[a][:, i]), turn, 0.0)
+            _, distance, _, score = solve(
+                sub, to_base(goals.points[a][:, i]), turn, 0.0, max(1, restarts // 4)
+            )
             good = distance < GOAL_REACHED
             reached[name] = good.any(axis=1)
             scores += np.where(good, score, 0.0).max(axis=1)
@@ -289,4 +292,5 @@ def _unwind(angles: np.ndarray, chains: list[kinematics.Chain], ok: np.ndarray) 
     used = angles[ok] if ok.any() else angles
     mean = np.arctan2(np.sin(used).mean(0), np.cos(used).mean(0))
     near = mean + (angles - mean + np.pi) % (2 * np.pi) - np.pi
-    return np.where(free, near, angles).astype(np.float32)
+    inside = free & (near >= lower) & (near <= upper)
+    return np.where(inside, near, angles).astype(np.float32)

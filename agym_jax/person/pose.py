@@ -14,6 +14,13 @@ from agym_jax.person.draw import Person
 from agym_jax.person.posture import Postures, load_postures
 from agym_jax.spec import PersonSpec
 
+WIDER, NARROWER = 20.0, 2.0
+"""Weights of limits that are wider or narrower than a person's, beside differences of size.
+
+A posture from within narrower limits needs no clipping. One from wider limits does, and an arm that is
+clipped may sink into the bed or hover above it; 0.01 of limit_scale is up to 2 degrees."""
+TIE = 0.05  # of rows that are about as near, any may be drawn
+
 CHEST_Y = 0.03  # AG human_creation.py: the seated chest is at (0, 0.03, 0.89 or 0.86)
 
 
@@ -28,7 +35,7 @@ class Pose:
 
 
 def draw_pose(key: jax.Array, spec: PersonSpec, person: Person) -> Pose:
-    """Draw how a person sits, or lies as gravity left people of that size.
+    """Draw how a person sits, or lies as gravity left somebody of like size and limits.
 
     Args:
         key: PRNG key.
@@ -41,12 +48,18 @@ def draw_pose(key: jax.Array, spec: PersonSpec, person: Person) -> Pose:
         pose = seated(spec, person.dims, person.sex, person.stature, person.girth, jnp)
         return Pose(pose.root_pos, pose.root_quat, pose.angles + noise)
     bank = load_postures(spec.postures)
-    size = jnp.stack([person.sex, person.stature, person.girth])
-    sizes = jnp.stack([jnp.asarray(x) for x in (bank.sex, bank.stature, bank.girth)], axis=-1)
-    apart = jnp.sum(jnp.abs(sizes - size), axis=-1)
-    # the rows nearest in size, one of them at random
-    row = jnp.argmin(apart + jax.random.uniform(key, apart.shape, maxval=0.05))
+    apart = unlikeness(bank, person.sex, person.stature, person.girth, person.limit_scale, jnp)
+    row = jnp.argmin(apart + jax.random.uniform(key, apart.shape, maxval=TIE))
     return lying(bank, row, person.dims, jnp)
+
+
+def unlikeness(
+    bank: Postures, sex: Any, stature: Any, girth: Any, limit_scale: Any, xp: Any
+) -> Any:
+    """How unfit each row of a bank is for a person; 0 is somebody alike (K,)."""
+    size = abs(bank.sex - sex) + abs(bank.stature - stature) + abs(bank.girth - girth)
+    wider = bank.limit_scale - limit_scale
+    return size + xp.where(wider > 0.0, WIDER * wider, -NARROWER * wider)
 
 
 def seated(
@@ -69,13 +82,13 @@ def lying(bank: Postures, row: Any, d: anthropometry.Dims, xp: Any) -> Pose:
 
 
 def typical(spec: PersonSpec, sex: float, stature: float = 1.0, girth: float = 1.0) -> Pose:
-    """A pose to build a scene with, in NumPy."""
+    """A pose to build a scene with, in NumPy: of a person with full joint limits."""
     d = anthropometry.dims(sex, stature, girth)
     if not spec.postures:
         return seated(spec, d, sex, stature, girth, np)
     bank = load_postures(spec.postures)
-    apart = abs(bank.sex - sex) + abs(bank.stature - stature) + abs(bank.girth - girth)
-    return lying(bank, int(np.argmin(apart)), d, np)
+    row = np.argmin(unlikeness(bank, sex, stature, girth, 1.0, np))
+    return lying(bank, int(row), d, np)
 
 
 def posed_joints(spec: PersonSpec) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from dataclasses import dataclass, fields
 from functools import cache
@@ -13,7 +14,7 @@ import numpy as np
 
 from agym_jax.assets import asset_root
 from agym_jax.errors import MissingPostureError
-from agym_jax.person import body
+from agym_jax.person import anthropometry, body
 
 Array = Any
 
@@ -21,18 +22,32 @@ Array = Any
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Postures:
-    """People and how they lie, one a row. All leaves are float32."""
+    """People and how they lie, one a row; or one of them, without the axis K.
+
+    The leaves of a bank are float32. Its parts and their order are those of ``settle.build_bank``; people
+    of Assistive Gym's sizes come first.
+    """
 
     sex: Array  # 0 male, 1 female, see anthropometry.dims            (K,)
     stature: Array  # height_scale                                    (K,)
     girth: Array  # radius_scale                                      (K,)
+    limit_scale: Array  # of the limits within which they settled     (K,)
     root_pos: Array  # of the chest, world [m]                        (K, 3)
     root_quat: Array  # of the chest, world, wxyz                     (K, 4)
     angles: Array  # of every joint [rad], in the order of body.JOINTS (K, 41)
 
+    @property
+    def dims(self) -> anthropometry.Dims:
+        """Sizes and masses."""
+        return anthropometry.dims(self.sex, self.stature, self.girth)
+
+    def row(self, i: int) -> Postures:
+        """One person of a bank, in float64."""
+        return Postures(*(np.asarray(getattr(self, f.name)[i], float) for f in fields(self)))
+
 
 SHAPES = {
-    "sex": (), "stature": (), "girth": (), "root_pos": (3,), "root_quat": (4,),
+    "sex": (), "stature": (), "girth": (), "limit_scale": (), "root_pos": (3,), "root_quat": (4,),
     "angles": (len(body.JOINTS),),
 }  # fmt: skip
 """Shape of one row of each field."""
@@ -41,6 +56,14 @@ SHAPES = {
 def posture_path(name: str) -> Path:
     """Where a task's bank is kept."""
     return asset_root() / "postures" / f"{name}.npz"
+
+
+def save_postures(bank: Postures, name: str, provenance: dict) -> None:
+    """Write the bank of a task without pickle, with where it came from."""
+    path = posture_path(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {f.name: getattr(bank, f.name) for f in fields(Postures)}
+    np.savez_compressed(path, **arrays, provenance=np.array(json.dumps(provenance)))
 
 
 @cache

@@ -1,10 +1,12 @@
 """BedBathing: wipe the right arm of a person who lies in bed.
 
 Assistive Gym v0.1 ``bed_bathing.py`` (reference tasks.md section 3). Points cover the skin of the
-upper arm and the forearm in rings, underside included; the wiper's pad wipes those within 2.5 cm of
-where it touches the person. 30 % of them are a success. Nobody observes which are left.
+upper arm and the forearm in rings, underside included; a pad that presses on the person wipes those
+within 2.5 cm of its face. 30 % of them are a success. Nobody observes which are left.
 
-DEVIATION(wiper-shape): the pad is a capsule as wide and as long as AG's flat box, and its plate another.
+DEVIATION(wiper-shape): for contact the pad is a capsule as wide and as long as AG's flat box, and its
+plate another. AG wipes around each contact point; Bullet spreads up to four of them over the pad's face
+(and keeps points up to 2 cm off), a capsule has one. So the whole face wipes while the pad presses.
 DEVIATION(bathing-tremor): a still person is welded to the bed, tremor included, as in AG.
 """
 
@@ -40,7 +42,10 @@ class Config:
     wiping: float = 5.0  # wiping_reward_weight
     wiped: float = 0.3  # task_success_threshold, of all points
     spacing: float = 0.03  # [m] between points, AG bed_bathing.py generate_targets
-    reach: float = 0.025  # [m] from a contact, AG bed_bathing.py get_total_force
+    reach: float = (
+        0.025  # [m] from the pad's face; AG: from a contact, bed_bathing.py get_total_force
+    )
+    pad: tuple[float, float] = (0.05, 0.025)  # length and width of the face [m], wiper.urdf
     preferences: Preferences = Preferences()
 
 
@@ -154,13 +159,14 @@ class BedBathing:
         return jnp.where(exists[:, None], local, 0.0), exists.astype(jnp.float32)
 
     def advance(self, state: BathState, sensed: Sensed) -> tuple[BathState, dict[str, Array]]:
-        """Move the points with the arm, and wipe those near a contact of the pad."""
+        """Move the points with the arm, and wipe those near the pad's face while it presses."""
         tool = sensed.tool
         points = _in_world(state.points_limb, sensed)
         force = tool.touch_force * tool.touch_working
-        apart = jnp.linalg.norm(points[:, :, None] - tool.touch_pos_w, axis=-1)
-        near = jnp.any((apart < self.config.reach) & (force > 0), axis=-1)
-        wiped = state.dirty * near
+        local = _unrotate(tool.quat_w, points - tool.pos_w)  # from the middle of the face
+        half = jnp.array([*self.config.pad, 0.0]) / 2
+        apart = jnp.linalg.norm(local - jnp.clip(local, -half, half), axis=-1)
+        wiped = state.dirty * ((apart < self.config.reach) & jnp.any(force > 0))
         state = replace(state, dirty=state.dirty - wiped, points_w=points, pad_force=jnp.sum(force))
         return state, {"wiped": jnp.sum(wiped)}
 
@@ -223,6 +229,13 @@ def _in_world(points: Array, sensed: Sensed) -> Array:
     return jnp.stack([
         sensed.link_pos_w[x] + points[i] @ sensed.link_rot_w[x].T for i, x in enumerate(limbs)
     ])  # fmt: skip
+
+
+def _unrotate(quat: Array, vectors: Array) -> Array:
+    """Vectors (..., 3) of the world in the frame whose orientation is ``quat`` wxyz."""
+    w, u = quat[0], -quat[1:]
+    t = 2.0 * jnp.cross(u, vectors)
+    return vectors + w * t + jnp.cross(u, t)
 
 
 BED_BATHING = BedBathing()

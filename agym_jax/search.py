@@ -35,6 +35,8 @@ GOAL_REACHED = 0.03
 """A further goal counts as reached within this distance [m], as in AG."""
 CLEARANCE = 0.005
 """Least distance [m] of robot and tool from person, furniture and the rest of the robot at the start."""
+NEARLY = 0.8
+"""Solutions with at least this share of the best isotropy may be taken for the sake of likeness."""
 YAW = np.deg2rad(30.0)
 TRIES = 8
 """Candidates for every row that is kept, where a base is searched."""
@@ -111,7 +113,7 @@ def search(
         key, sub = jax.random.split(key)
         q, distance, rotation, score = solve(sub, to_base(goals.start[:, a]), turn, 0.3, restarts)
         good = (distance < REACHED) & (rotation < REACHED_ROTATION)
-        best = np.argmax(np.where(good, score, -1.0), axis=1)
+        best = _one_family(q, np.where(good, score, -1.0), chain)
         rows = np.arange(n)
         angles.append(q[rows, best])
         ok &= good[rows, best]
@@ -225,6 +227,34 @@ def _points(task: Task, names: list[str], count: int, seed: int) -> dict[str, np
                 point = point + kinematics.rotation_matrix(rows.body_quat[row]) @ local
             found[name].append(point)
     return {name: np.array(rows) for name, rows in found.items()}
+
+
+def _one_family(q: np.ndarray, score: np.ndarray, chain: kinematics.Chain) -> np.ndarray:
+    """Which solution of each candidate to take: alike ones, among those that are nearly the best.
+
+    A pose has several solutions (elbow up or down, wrist flipped), often equally good. A policy has
+    an easier life if every episode starts from the same family.
+
+    Args:
+        q: solutions [rad] (N, restarts, n).
+        score: of each, -1 where it does not reach (N, restarts).
+        chain: for the limits.
+
+    Returns:
+        (N,) index of the solution; the best where none is good.
+    """
+    fine = (score > 0) & (score >= NEARLY * score.max(axis=1, keepdims=True))
+    if not fine.any():
+        return np.argmax(score, axis=1)
+    free = chain.upper - chain.lower > 2 * np.pi + 0.1
+    wrap = lambda d: np.where(free, (d + np.pi) % (2 * np.pi) - np.pi, d)  # noqa: E731
+    pool = q[fine]
+    pick = np.random.default_rng(0).permutation(len(pool))
+    seeds, others = pool[pick[:256]], pool[pick[-2048:]]
+    alike = np.abs(wrap(seeds[:, None] - others[None])).max(axis=-1) < 1.0
+    middle = seeds[np.argmax(alike.sum(axis=1))]
+    apart = np.linalg.norm(wrap(q - middle), axis=-1)
+    return np.argmin(np.where(fine, apart, np.inf), axis=1)
 
 
 def _solve(chain, key, pos, rot, weight, restarts):

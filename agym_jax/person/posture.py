@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -56,6 +57,27 @@ SHAPES = {
 def posture_path(name: str) -> Path:
     """Where a task's bank is kept."""
     return asset_root() / "postures" / f"{name}.npz"
+
+
+def bank_of(people: Sequence[Postures]) -> Postures:
+    """Stack K people, each within the own limits, into a bank."""
+    rows = {
+        f.name: np.array([getattr(p, f.name) for p in people], np.float32) for f in fields(Postures)
+    }
+    for angles, limit_scale in zip(rows["angles"], rows["limit_scale"], strict=True):
+        # float32 may round a limit outwards
+        low, high = body.joint_limits(tuple(body.JOINTS), limit_scale, np).T.astype(np.float32)
+        angles[:] = np.clip(angles, low, high)
+    return Postures(**rows)
+
+
+def link_positions(person: Postures) -> dict[str, np.ndarray]:
+    """Where every link of one person is, world [m] (3,)."""
+    angles = dict(zip(body.JOINTS, person.angles, strict=True))
+    rows = body.fields(
+        person.dims, angles, (), person.limit_scale, person.root_pos, person.root_quat, np
+    )
+    return dict(zip(body.LINK, rows.body_pos, strict=True))
 
 
 def save_postures(bank: Postures, name: str, provenance: dict) -> None:

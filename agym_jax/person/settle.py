@@ -25,7 +25,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 
 import mujoco
@@ -36,7 +36,7 @@ from agym_jax.errors import AgymError, UnknownNameError
 from agym_jax.person import body
 from agym_jax.person.draw import People
 from agym_jax.person.model import build as build_person
-from agym_jax.person.posture import Postures, save_postures
+from agym_jax.person.posture import Postures, bank_of, link_positions, save_postures
 
 LINKS, ALL, ARM = tuple(body.LINK), tuple(body.JOINTS), body.RIGHT_ARM
 ARM_LINKS = ("right_girdle", "right_upper_arm", "right_forearm", "right_hand")
@@ -211,13 +211,6 @@ def clearances(person: Postures) -> dict[str, float]:
     }  # fmt: skip
 
 
-def link_positions(person: Postures) -> dict[str, np.ndarray]:
-    """Where every link of one person is, world [m] (3,)."""
-    angles, root = dict(zip(ALL, person.angles, strict=True)), (person.root_pos, person.root_quat)
-    rows = body.fields(person.dims, angles, (), person.limit_scale, *root, np)
-    return dict(zip(LINKS, rows.body_pos, strict=True))
-
-
 def settle(
     name: str,
     sex: float,
@@ -275,14 +268,7 @@ def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Cou
         if counts.total() > TRIES * 6 * each:
             raise AgymError(f"{name}: too few people come to lie well on the bed: {dict(counts)}")
     print()
-    stack = {
-        f.name: np.array([getattr(r, f.name) for r in rows], np.float32) for f in fields(Postures)
-    }
-    for angles, limit_scale in zip(stack["angles"], stack["limit_scale"], strict=True):
-        # float32 may round a limit outwards
-        low, high = body.joint_limits(ALL, limit_scale, np).T.astype(np.float32)
-        angles[:] = np.clip(angles, low, high)
-    return Postures(**stack), counts
+    return bank_of(rows), counts
 
 
 def main(argv: list[str] | None = None) -> int:

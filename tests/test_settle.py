@@ -13,17 +13,56 @@ import pytest
 from agym_jax.assets import asset_path
 from agym_jax.errors import AgymError, MissingPostureError
 from agym_jax.furniture import BED
-from agym_jax.person import anthropometry, body, posture, settle
-from agym_jax.person.posture import Postures, load_postures, posture_path
+from agym_jax.person import body, posture, settle, settle_report
+from agym_jax.person import pose as person_pose
+from agym_jax.person.draw import People, Person, draw_person
+from agym_jax.person.pose import Pose
+from agym_jax.person.posture import link_positions, load_postures, posture_path
+from agym_jax.robots import ROBOTS
+from agym_jax.scene import compose
+from agym_jax.tasks import TASKS as ALL_TASKS
 
 TASKS = tuple(settle.SCENARIOS)
+EACH = 128
+ROWS = 6 * EACH
 SAMPLE = 24
 
 
-def _row(bank: Postures, i: int) -> tuple:
-    """Sizes, chest position, chest orientation and angles of one row, in float64."""
-    d = anthropometry.dims(float(bank.sex[i]), float(bank.stature[i]), float(bank.girth[i]))
-    return d, *(np.asarray(x[i], float) for x in (bank.root_pos, bank.root_quat, bank.angles))
+def _drawn(name: str, people: People, count: int) -> tuple[Person, Pose]:
+    """People of a task and how they lie, as an episode draws them; leaves in float64 (count, ...)."""
+    spec = ALL_TASKS[name].person
+
+    def one(key: jax.Array) -> tuple[Person, Pose]:
+        who, how = jax.random.split(key)
+        person = draw_person(who, people, len(spec.joints), 0.0, spec.impairments)
+        return person, person_pose.draw_pose(how, spec, person)
+
+    keys = jax.random.split(jax.random.PRNGKey(0), count)
+    return jax.tree.map(lambda x: np.asarray(x, float), jax.jit(jax.vmap(one))(keys))
+
+
+def _gaps_in_the_scene(name: str, person: Person, pose: Pose) -> dict[str, float]:
+    """Distance of every link of a person from the bed as an episode begins [m]."""
+    task = ALL_TASKS[name]
+    scale, moving = float(person.limit_scale), task.person.moving(False)
+    size = (float(person.sex), float(person.stature), float(person.girth))
+    model = compose(task, ROBOTS["Jaco"], False, *size, scale, pose=pose, solid=True)
+    data = mujoco.MjData(model)
+    angles = person_pose.start_angles(pose, moving, scale, np)
+    for joint, angle in zip(moving, angles, strict=True):
+        data.qpos[model.joint(f"person/{joint}").qposadr[0]] = angle
+    mujoco.mj_kinematics(model, data)
+    bed = [model.geom(f"seat/{x}").id for x in _collision_geoms_of_the_bed()]
+    return {
+        x: min(mujoco.mj_geomDistance(model, data, model.geom(f"person/{x}").id, g, 0.5, None) for g in bed)
+        for x in body.LINK
+    }  # fmt: skip
+
+
+def _collision_geoms_of_the_bed() -> list[str]:
+    bed = mujoco.MjModel.from_xml_path(str(asset_path(BED.model)))
+    names = [bed.geom(i).name for i in range(bed.ngeom)]
+    return [x for x in names if x.endswith("_collision")]
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -31,9 +70,9 @@ def test_bank_is_whole(name: str):
     bank = load_postures(name)
     assert all(leaf.dtype == np.float32 for leaf in jax.tree.leaves(bank))
     assert [leaf.shape for leaf in jax.tree.leaves(bank)] == [
-        (512,), (512,), (512,), (512, 3), (512, 4), (512, 41),
+        (ROWS,), (ROWS,), (ROWS,), (ROWS,), (ROWS, 3), (ROWS, 4), (ROWS, 41),
     ]  # fmt: skip
-    for sex, rows in ((0.0, slice(0, 192)), (1.0, slice(192, 384))):
+    for sex, rows in ((0.0, slice(0, 2 * EACH)), (1.0, slice(2 * EACH, 4 * EACH))):
         assert (bank.sex[rows] == sex).all()
         assert (bank.stature[rows] == 1).all()
         assert (bank.girth[rows] == 1).all()
@@ -41,61 +80,123 @@ def test_bank_is_whole(name: str):
     for sizes, low, high in (
         (bank.sex, -0.2, 1.2), (bank.stature, 0.92, 1.08), (bank.girth, 0.9, 1.15),
     ):  # fmt: skip
-        drawn = sizes[384:]
+        drawn = sizes[4 * EACH :]
         assert (drawn >= np.float32(low)).all()
         assert (drawn <= np.float32(high)).all()
         assert np.ptp(drawn) > 0.8 * (high - low)
     np.testing.assert_allclose(np.linalg.norm(bank.root_quat, axis=1), 1.0, atol=1e-6)
-    low, high = body.joint_limits(tuple(body.JOINTS), 1.0, np).T.astype(np.float32)
-    assert (bank.angles >= low).all()
-    assert (bank.angles <= high).all()
+    for part, scales in enumerate(bank.limit_scale.reshape(6, EACH)):
+        if part % 2:
+            np.testing.assert_allclose(scales, np.linspace(0.5, 1.0, EACH), atol=0.005)
+        else:
+            assert (scales == 1).all()
+    for scale, angles in zip(bank.limit_scale, bank.angles, strict=True):
+        low, high = body.joint_limits(tuple(body.JOINTS), scale, np).T.astype(np.float32)
+        assert (angles >= low).all()
+        assert (angles <= high).all()
     with np.load(posture_path(name), allow_pickle=False) as z:
         provenance = json.loads(str(z["provenance"]))
-    assert provenance["counts"]["kept"] == 512
+    assert provenance["counts"]["kept"] == ROWS
     assert f"build {name}" in provenance["command"]
 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_nobody_sinks_in_or_floats(name: str):
     bank = load_postures(name)
-    for i in np.linspace(0, 511, SAMPLE).astype(int):
-        gap = settle.clearances(*_row(bank, i))
+    for i in np.linspace(0, ROWS - 1, SAMPLE).astype(int):
+        gap = settle.clearances(bank.row(i))
         worst = min(gap, key=gap.__getitem__)
         assert gap[worst] >= -settle.DEEPEST, (i, worst, gap[worst])
         assert min(gap["chest"], gap["waist"], gap["hips"]) <= settle.FLOATING, (i, gap)
         assert gap["head"] < 0.03, (i, gap["head"])  # on the pillow
 
 
+@pytest.mark.parametrize("name", TASKS)
+def test_narrow_limits_clip_nothing(name: str):
+    bank, spec, checked = load_postures(name), ALL_TASKS[name].person, 0
+    for i in np.flatnonzero(bank.limit_scale < 1)[::11]:
+        row = bank.row(i)
+        pose = Pose(row.root_pos, row.root_quat, row.angles)
+        clipped = person_pose.start_angles(pose, tuple(body.JOINTS), row.limit_scale, np)
+        np.testing.assert_allclose(clipped, row.angles, atol=1e-6)
+        rows = person_pose.rows(spec, pose, row.dims, (), row.limit_scale, np)
+        expected = list(link_positions(row).values())
+        np.testing.assert_allclose(rows.body_pos, expected, atol=1e-6)
+        checked += 1
+    assert checked > 30
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_people_are_drawn_like_somebody_of_their_size_and_limits(name: str):
+    bank = load_postures(name)
+    person, pose = _drawn(name, People(impairments=("none", "limits")), 256)
+    rows = [int(np.abs(bank.angles - a).max(1).argmin()) for a in pose.angles]
+    np.testing.assert_array_equal(bank.angles[rows], pose.angles)
+    for field in ("sex", "stature", "girth"):
+        np.testing.assert_array_equal(getattr(bank, field)[rows], getattr(person, field))
+    np.testing.assert_allclose(bank.limit_scale[rows], person.limit_scale, atol=0.03)
+    whole = person.limit_scale == 1
+    assert (bank.limit_scale[rows][whole] == 1).all()
+    assert 100 < whole.sum() < 156
+    assert len(set(np.array(rows)[whole])) > 60  # of 256, at random
+    joints = tuple(body.JOINTS)
+    for angles, scale in zip(pose.angles, person.limit_scale, strict=True):
+        low, high = np.rad2deg(body.joint_limits(joints, scale, np)).T
+        over = np.maximum(low - np.rad2deg(angles), np.rad2deg(angles) - high).max()
+        assert over < 0.5, (scale, over)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_episodes_begin_with_people_borne_by_the_bed(name: str):
+    people = People(impairments=("none", "limits", "weakness", "tremor"))
+    persons, poses = _drawn(name, people, 64)
+    assert (persons.limit_scale < 1).sum() > 8
+    for i in range(64):
+        person, pose = jax.tree.map(lambda x: x[i], (persons, poses))  # noqa: B023
+        gap = _gaps_in_the_scene(name, person, pose)
+        worst = min(gap, key=gap.__getitem__)
+        assert gap[worst] >= -settle.DEEPEST, (i, worst, gap[worst])
+        assert min(gap["chest"], gap["waist"], gap["hips"]) <= settle.FLOATING, (i, gap)
+        assert min(gap[x] for x in body.RIGHT_ARM_LINKS) <= settle.FLOATING, (i, gap)
+
+
+def test_a_scene_is_built_with_somebody_of_full_limits():
+    for name in TASKS:
+        bank = load_postures(name)
+        for sex in (0.0, 1.0):
+            pose = person_pose.typical(ALL_TASKS[name].person, sex)
+            (row,) = np.flatnonzero((bank.angles == pose.angles).all(1))
+            assert (bank.sex[row], bank.limit_scale[row]) == (sex, 1)
+
+
 def test_arms_lie_or_hang():
-    for i in range(0, 512, 37):
+    for i in range(0, ROWS, 37):
         lying, hanging = (load_postures(name) for name in TASKS)
-        gap = settle.clearances(*_row(lying, i))
+        gap = settle.clearances(lying.row(i))
         assert min(gap["right_upper_arm"], gap["right_forearm"], gap["right_hand"]) < 0.002
-        links = settle.link_positions(*_row(hanging, i))
+        links = link_positions(hanging.row(i))
         assert links["right_hand"][0] < -0.6  # beyond the edge,
         assert links["right_hand"][2] < 0.65  # below the mattress's top,
-        gap = settle.clearances(*_row(hanging, i))
+        gap = settle.clearances(hanging.row(i))
         assert gap["right_upper_arm"] < 0.002  # on whose edge the upper arm rests
 
 
 def test_hanging_arm_is_at_rest_with_the_friction_and_gravity_of_the_task():
     bank, how = load_postures("ArmManipulation"), settle.SCENARIOS["ArmManipulation"]
-    for i in (0, 300, 500):
-        row = _row(bank, i)
-        again, speed = settle.rest_arm(
-            row[0], settle.Scenario(how.start, {}, (-9.81,), how.friction), *row[1:]
-        )
+    as_it_is = settle.Scenario(how.start, {}, (-9.81,), how.friction)
+    for i in (0, 150, 300, 500, 700):
+        row = bank.row(i)
+        again, speed = settle.rest_arm(row, as_it_is)
         assert speed < settle.STILL
-        moved = settle.link_positions(row[0], *row[1:3], again)["right_hand"]
-        before = settle.link_positions(*row)["right_hand"]
+        moved, before = (link_positions(x)["right_hand"] for x in (again, row))
         np.testing.assert_allclose(moved, before, atol=0.005)  # of 1.2 m below the shoulder
 
 
 @pytest.mark.parametrize("name", TASKS)
 @pytest.mark.parametrize("sex", [0, 1])
 def test_people_lie_as_the_reference_measured(name: str, sex: int):
-    found = settle.statistics(load_postures(name), sex)
-    for key, values in settle.AG[name].items():
+    found = settle_report.statistics(load_postures(name), sex)
+    for key, values in settle_report.AG[name].items():
         mean = found[key][0]
         if key in body.LINK:
             # ours has the mass where it belongs; measured differences: trunk 1.3 cm, wrist 11 cm along
@@ -122,7 +223,7 @@ def test_self_collision_mask_is_the_reference_one():
 
 
 def test_settling_is_the_same_for_the_same_seed():
-    banks = [settle.build_bank("ArmManipulation", seed=5, size=1)[0] for _ in range(2)]
+    banks = [settle.build_bank("ArmManipulation", seed=5, each=1)[0] for _ in range(2)]
     for a, b in zip(*map(jax.tree.leaves, banks), strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -130,7 +231,7 @@ def test_settling_is_the_same_for_the_same_seed():
 def test_a_bank_that_cannot_be_filled_says_so(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(settle, "settle", lambda *_: "fell off the bed")
     with pytest.raises(AgymError, match="fell off the bed"):
-        settle.build_bank("BedBathing", size=2)
+        settle.build_bank("BedBathing", each=1)
 
 
 def test_missing_and_damaged_banks_name_file_and_remedy(monkeypatch, tmp_path):

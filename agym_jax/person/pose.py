@@ -14,8 +14,11 @@ from agym_jax.person.draw import Person
 from agym_jax.person.posture import Postures, load_postures
 from agym_jax.spec import PersonSpec
 
-WIDER, NARROWER = 20.0, 2.0
-"""Weights of limits that are wider or narrower than a person's, beside differences of size.
+STATURE, GIRTH = 3.0, 5.0
+"""Weights of differences of size, beside sex: so chosen that people between the
+bank's sizes sink into the bed by half as much as with 1 and 1."""
+WIDER, NARROWER = 30.0, 1.0
+"""Weights of limits that are wider or narrower than a person's.
 
 A posture from within narrower limits needs no clipping. One from wider limits does, and an arm that is
 clipped may sink into the bed or hover above it; 0.01 of limit_scale is up to 2 degrees."""
@@ -57,7 +60,8 @@ def unlikeness(
     bank: Postures, sex: Any, stature: Any, girth: Any, limit_scale: Any, xp: Any
 ) -> Any:
     """How unfit each row of a bank is for a person; 0 is somebody alike (K,)."""
-    size = abs(bank.sex - sex) + abs(bank.stature - stature) + abs(bank.girth - girth)
+    size = abs(bank.sex - sex) + STATURE * abs(bank.stature - stature)
+    size = size + GIRTH * abs(bank.girth - girth)
     wider = bank.limit_scale - limit_scale
     return size + xp.where(wider > 0.0, WIDER * wider, -NARROWER * wider)
 

@@ -60,7 +60,7 @@ def posture_path(name: str) -> Path:
 
 
 def bank_of(people: Sequence[Postures]) -> Postures:
-    """Stack K people, each within the own limits, into a bank."""
+    """Stack K people, each within that person's limits, into a bank."""
     rows = {
         f.name: np.array([getattr(p, f.name) for p in people], np.float32) for f in fields(Postures)
     }

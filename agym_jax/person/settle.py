@@ -165,15 +165,14 @@ def _clipped(angles: np.ndarray, joints: tuple[str, ...], limit_scale: float) ->
 
 def fall(person: Postures, how: Scenario, rng: np.random.Generator) -> Postures:
     """Drop a limp person onto the bed: the same one with the pose after the fall."""
-    limit_scale = person.limit_scale
-    angles = _clipped(rng.uniform(-SPREAD, SPREAD, len(ALL)), ALL, limit_scale)
+    angles = _clipped(rng.uniform(-SPREAD, SPREAD, len(ALL)), ALL, person.limit_scale)
     person = replace(person, root_pos=np.array(how.start), root_quat=np.array(FACE_UP))
     model = lying_model(person, ALL, how.friction[0], True)
     data, where = mujoco.MjData(model), _qpos(model, ALL)
     data.qpos[where] = angles
     mujoco.mj_step(model, data, round(FALL / STEP))
     quat = data.qpos[3:7] / np.linalg.norm(data.qpos[3:7])
-    angles = _clipped(data.qpos[where], ALL, limit_scale)
+    angles = _clipped(data.qpos[where], ALL, person.limit_scale)
     return replace(person, root_pos=data.qpos[:3].copy(), root_quat=quat, angles=angles)
 
 
@@ -212,17 +211,17 @@ def clearances(person: Postures) -> dict[str, float]:
 
 
 def settle(
-    name: str,
-    sex: float,
-    stature: float,
-    girth: float,
-    limit_scale: float,
-    rng: np.random.Generator,
+    name: str, who: tuple[float, float, float, float], rng: np.random.Generator
 ) -> Postures | str:
-    """One row of a bank, or the words for why it was rejected."""
+    """One row of a bank, or the words for why it was rejected.
+
+    Args:
+        name: of the task.
+        who: sex, stature, girth and limit_scale.
+        rng: of the angles at the start.
+    """
     how = SCENARIOS[name]
-    size = (sex, stature, girth, limit_scale)
-    person = fall(Postures(*size, np.zeros(3), np.zeros(4), np.zeros(len(ALL))), how, rng)
+    person = fall(Postures(*who, np.zeros(3), np.zeros(4), np.zeros(len(ALL))), how, rng)
     if np.abs(person.root_pos[:2] - how.start[:2]).max() > STRAYED:
         return "fell off the bed"
     person, speed = rest_arm(person, how)
@@ -233,9 +232,8 @@ def settle(
     gap = clearances(person)
     if min(gap.values()) < -DEEPEST:
         return "penetrates the bed"
-    if min(gap["chest"], gap["waist"], gap["hips"]) > FLOATING:
-        return "floats"
-    return person
+    floats = min(gap["chest"], gap["waist"], gap["hips"]) > FLOATING
+    return "floats" if floats else person
 
 
 def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Counter]:
@@ -253,15 +251,15 @@ def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Cou
         AgymError: too few falls end well.
     """
     rng, people, counts = np.random.default_rng(seed), People(sizes="continuous"), Counter()
+    ranges = people.blend, people.stature, people.girth
     rows: list[Postures] = []
     while len(rows) < 6 * each:
         part, i = divmod(len(rows), each)
         sex, stature, girth = float(part // 2), 1.0, 1.0
         if part >= 4:
-            ranges = people.blend, people.stature, people.girth
             sex, stature, girth = (rng.uniform(*x) for x in ranges)
         limit_scale = 0.5 + 0.5 * (i + rng.uniform()) / each if part % 2 else 1.0
-        row = settle(name, sex, stature, girth, limit_scale, rng)
+        row = settle(name, (sex, stature, girth, limit_scale), rng)
         counts["kept" if isinstance(row, Postures) else row] += 1
         rows += [row] if isinstance(row, Postures) else []
         print(f"\r{name}: {len(rows)}/{6 * each}", end="", flush=True)

@@ -15,9 +15,9 @@ from agym_jax.person.posture import Postures, load_postures
 from agym_jax.spec import PersonSpec
 
 STATURE, GIRTH = 3.0, 5.0
-"""Weights of differences of size, beside sex: so chosen that people between the
-bank's sizes sink into the bed by half as much as with 1 and 1."""
-WIDER, NARROWER = 30.0, 1.0
+"""Weights of differences of size, beside 1 for sex: the arms of people between the bank's sizes then
+float about half as far as if all three counted alike."""
+WIDER, NARROWER = 30.0, 2.0
 """Weights of limits that are wider or narrower than a person's.
 
 A posture from within narrower limits needs no clipping. One from wider limits does, and an arm that is

@@ -16,8 +16,8 @@ DEVIATION(settle): after AG's 2 s the body is frozen and the right arm goes on s
 still, and in ArmManipulation then once more under -9.81 m/s^2, at which that task runs. AG starts with
 whatever motion 2 s have left. In BedBathing falls whose arm slides off the bed are left out.
 Contacts are firmer than at run time, so a hanging arm sinks up to 4 mm deeper into the mattress there.
-DEVIATION(posture-bank): a reset draws one of the settled people instead of dropping one: somebody of like
-size whose limits are the same or a little narrower.
+DEVIATION(posture-bank): a reset draws a settled person of like size, with the same or slightly narrower
+limits. AG's sizes lie as settled; others begin up to 16 mm inside the bed, arms up to 12 mm above it.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ FIRST_GRAVITY = -1.0  # [m/s^2]
 FALL_SOLREF, FALL_SOLIMP = (0.03, 1.0), (0.8, 0.95, 0.005, 0.5, 2.0)  # of contacts: no bouncing
 REST_SOLREF, REST_SOLIMP = (0.016, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0)  # firm: sinks in by < 1 mm
 SELF_FRICTION = 0.5
-FIRM_LIMIT = (0.008, 1.0)  # solref of the arm's joint limits at rest: exceeded by < 0.1 degrees
+FIRM_LIMIT = (0.008, 1.0)  # solref of the arm's joint limits at rest: exceeded by < 0.1 deg
 STICTION = 20.0  # MuJoCo's impratio: soft friction would let a resting arm creep
 FALL_DAMPING, REST_DAMPING = 1.0, 0.05  # of the joints [N m s/rad] (AG: none)
 STILL, PATIENCE = 0.01, 60.0  # the arm is at rest below this speed [rad/s]; wait at most [s]

@@ -61,13 +61,14 @@ class PPOConfig:
     """Physics: "jax", "warp", or "auto" (Warp on an NVIDIA GPU where it is installed)."""
 
     num_processes: Annotated[Count, tyro.conf.arg(aliases=["--num-envs"])] = 0
-    """Worlds simulated side by side; 0 = 1024 on an accelerator, 64 on a CPU."""
+    """Worlds simulated side by side; 0 = 64 on a CPU, and on an accelerator 4096, or what suits
+    the task (WORLDS)."""
     num_steps: Count = 20
     """Steps of each world in one update."""
     ppo_epoch: Count = 4
     """Passes over the data of an update."""
     num_mini_batch: Count = 8
-    """Gradient steps in a pass."""
+    """Gradient steps in a pass; fewer where a step would have less than 80 samples."""
     stagger: bool = True
     """Start the worlds at different times of their first episode, so that an update sees all
     phases of an episode (needs an environment that can; the first episodes are not counted)."""
@@ -110,6 +111,9 @@ class PPOConfig:
     clipped to [-1, 1] with a deviation of its own ("normal", as in Assistive Gym)."""
     init_noise_std: float = 1.0
     """Initial deviation of "normal"."""
+    final_noise_std: float = 0.0
+    """Bound of the deviation of "normal" at the end of the run; it falls linearly from the initial
+    deviation, so that the policy learns to do without its noise. 0 sets no bound."""
     policy_head_gain: float = 0.01
     """Gain of the initial weights of the policy's last layer (Assistive Gym: 1)."""
 
@@ -136,6 +140,11 @@ class PPOConfig:
         for name in ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} must be greater than 0, got {getattr(self, name)}.")
+        if not 0 <= self.final_noise_std <= self.init_noise_std:
+            raise ConfigError(
+                f"final_noise_std must be between 0 and init_noise_std ({self.init_noise_std}), "
+                f"got {self.final_noise_std}."
+            )
         for name in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"{name} must be between 0 and 1, got {getattr(self, name)}.")
@@ -145,10 +154,10 @@ class PPOConfig:
             )
 
 
-# Short strokes want a short horizon; wide exploration finds them; a sampled action keeps moving.
+# Short strokes want a short horizon; wide exploration finds them, and fades.
 _TOUCH: dict[str, Any] = {
-    "ppo_epoch": 8,
-    "num_mini_batch": 16,
+    "ppo_epoch": 6,
+    "num_mini_batch": 32,
     "lr": 7e-4,
     "gamma": 0.95,
     "gae_lambda": 0.9,
@@ -160,14 +169,19 @@ _TOUCH: dict[str, Any] = {
 
 # What a task changes of the base, measured on a GPU. Keys are the beginnings of environment ids.
 TASK_CHANGES: dict[str, dict[str, Any]] = {
-    "ScratchItch": _TOUCH,
-    "BedBathing": _TOUCH,
+    "ScratchItch": _TOUCH | {"ppo_epoch": 8, "gamma": 0.93, "final_noise_std": 0.15},
+    "BedBathing": _TOUCH | {"final_noise_std": 0.15},
     "Feeding": {},
     "Drinking": {},
     "Dressing": {},
     "ArmManipulation": _TOUCH | {"gamma": 0.98, "gae_lambda": 0.95},
-    "Reaching": _TOUCH,
+    "Reaching": _TOUCH | {"lr": 3e-4},
 }
+
+WORLDS = {"ScratchItch": 2048}
+"""Worlds on an accelerator, where a task learns best with another number than 4096."""
+LEAST_SAMPLES = 80
+"""Of a mini-batch, when ``num_mini_batch`` would make smaller ones of a small batch."""
 
 
 def config_for(env_name: str) -> PPOConfig:
@@ -217,8 +231,11 @@ def resolve(config: PPOConfig, platform: str) -> PPOConfig:
     Raises:
         ConfigError: the data of an update do not divide into mini-batches.
     """
-    num_envs = config.num_processes or (64 if platform == "cpu" else 1024)
+    worlds = next((n for task, n in WORLDS.items() if config.env_name.startswith(task)), 4096)
+    num_envs = config.num_processes or (64 if platform == "cpu" else worlds)
     batch = num_envs * config.num_steps
+    if batch // config.num_mini_batch < LEAST_SAMPLES and batch % LEAST_SAMPLES == 0:
+        config = dataclasses.replace(config, num_mini_batch=batch // LEAST_SAMPLES)
     if batch % config.num_mini_batch:
         divisors = [n for n in range(1, min(batch, 256) + 1) if batch % n == 0]
         near = min(divisors, key=lambda n: abs(n - config.num_mini_batch))

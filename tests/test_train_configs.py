@@ -93,8 +93,8 @@ def test_every_task_of_the_table_has_settings_that_work():
 def test_automatic_settings_depend_on_the_machine():
     assert resolve(PPOConfig(), "cpu").num_processes == 64
     config = resolve(PPOConfig(), "gpu")
-    assert config.num_processes == 2048
-    lines = 10_000_000 / (2048 * config.num_steps * config.log_interval)
+    assert config.num_processes == 1024
+    lines = 10_000_000 / (1024 * config.num_steps * config.log_interval)
     assert 40 < lines < 160
     assert config.save_interval % config.log_interval == 0
 
@@ -114,12 +114,7 @@ def test_impossible_values_are_named(wrong):
 
 
 def test_mini_batches_of_a_small_batch_are_not_too_small():
-    config = config_for("ScratchItchJaco-v0")
+    config = config_for("BedBathingJaco-v0")
     on_cpu, on_gpu = resolve(config, "cpu"), resolve(config, "gpu")
     assert on_cpu.num_processes * on_cpu.num_steps // on_cpu.num_mini_batch == 80
     assert on_gpu.num_mini_batch == config.num_mini_batch == 32
-
-
-def test_noise_cannot_end_above_where_it_begins():
-    with pytest.raises(ConfigError, match="final_noise_std"):
-        PPOConfig(init_noise_std=0.5, final_noise_std=0.6)

@@ -9,13 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import compute_gae as brax_gae
 
 from train.advantage import compute_gae, values_of
 from train.configs import PPOConfig
 from train.learner import LOSSES, architecture, init_learner, ppo_loss
-from train.networks import Architecture, bound_noise, init_policy, make_networks, sample_action
+from train.networks import make_networks, sample_action
 from train.rollout import Batch
 
 GAMMA, LAMBDA = 0.9, 0.8
@@ -131,17 +130,3 @@ def test_a_new_learner_has_strong_types_so_that_a_restored_one_needs_no_new_comp
         jax.random.PRNGKey(0)
     )
     assert not any(leaf.weak_type for leaf in jax.tree.leaves(learner))
-
-
-def test_noise_is_bounded_from_above_only():
-    arch = Architecture(3, 2, (8,), (8,), "elu", "normal")
-    networks = make_networks(arch)
-    policy = init_policy(networks, arch, jax.random.PRNGKey(0))
-    policy["params"]["std_logparam"]["log_value"] = jnp.log(jnp.array([0.1, 0.9]))
-    bounded = bound_noise(policy, jnp.float32(0.5))
-    obs = jnp.ones((4, 3))
-    stats = running_statistics.init_state(jnp.zeros(3))
-    mean, std = networks.policy_network.apply(stats, bounded, obs)
-    np.testing.assert_allclose(std, np.tile([0.1, 0.5], (4, 1)), rtol=1e-5)
-    before, _ = networks.policy_network.apply(stats, policy, obs)
-    np.testing.assert_array_equal(mean, before)

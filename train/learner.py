@@ -19,7 +19,7 @@ from brax.training.agents.ppo.losses import PPONetworkParams
 
 from train.advantage import compute_gae, values_of
 from train.configs import PPOConfig
-from train.networks import STD_MIN, Architecture, bound_noise, init_policy, make_networks
+from train.networks import STD_MIN, Architecture, init_policy, make_networks
 from train.rollout import Batch, Worlds, collect, strong_types, zero_totals
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
@@ -200,10 +200,6 @@ def learn(
     (params, state), scalars = jax.lax.scan(
         epoch, (learner.params, learner.optimizer), jax.random.split(key, config.ppo_epoch)
     )
-    if config.final_noise_std and config.distribution == "normal":
-        first, last = config.init_noise_std, config.final_noise_std
-        bound = first + (last - first) * jnp.clip(progress, 0.0, 1.0)
-        params = replace(params, policy=bound_noise(params.policy, bound))
     normalizer = learner.normalizer
     if config.normalize_observations:
         normalizer = running_statistics.update(normalizer, batch.obs, std_min_value=STD_MIN)

@@ -75,13 +75,6 @@ def init_policy(networks: ppo_networks.PPONetworks, arch: Architecture, key: jax
     return policy
 
 
-def bound_noise(policy: Any, bound: jax.Array) -> Any:
-    """Weights of a "normal" policy network whose deviations are at most ``bound`` ()."""
-    params = policy["params"]
-    log_std = jnp.minimum(params["std_logparam"]["log_value"], jnp.log(bound))
-    return {**policy, "params": {**params, "std_logparam": {"log_value": log_std}}}
-
-
 def sample_action(
     networks: ppo_networks.PPONetworks, normalizer: Any, policy: Any, obs: jax.Array, key: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:

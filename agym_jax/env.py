@@ -228,9 +228,7 @@ class AssistiveEnv(brax_envs.Env):
             key_person, self.people, len(moving), spec.tremor_amplitude, spec.impairments
         )
         pose = person_pose.draw_pose(key_pose, spec, person)
-        rows = person_pose.rows(spec, pose, person.dims, moving, person.limit_scale, jnp)
-        per_link = [k for k in rows._fields if not k.startswith("jnt")]
-        rows = rows._replace(**{k: getattr(rows, k)[index.person_row] for k in per_link})
+        rows = self._rows_of(person, pose)
         row = jax.random.randint(key_place, (), 0, self._bank.arm_angles.shape[0])
         placement = jax.tree.map(lambda x: jnp.asarray(x)[row], self._bank)
         angles = person_pose.start_angles(pose, moving, person.limit_scale, jnp)
@@ -260,6 +258,15 @@ class AssistiveEnv(brax_envs.Env):
         rewards = dict.fromkeys(terms, zero)  # only the names: nothing of this is computed
         metrics = self._metrics(task, rewards, sensed, data, jnp.bool_(False))
         return _strong(State(data, obs, zero, zero, metrics, {}, task, episode, key))
+
+    def _rows_of(self, person: draw.Person, pose: person_pose.Pose) -> body.BodyFields:
+        """The person's part of the model: rows of the scene's links."""
+        moving, index = self.scene.moving, self.scene.index
+        rows = person_pose.rows(
+            self.task.person, pose, person.dims, moving, person.limit_scale, jnp
+        )
+        per_link = [k for k in rows._fields if not k.startswith("jnt")]
+        return rows._replace(**{k: getattr(rows, k)[index.person_row] for k in per_link})
 
     def _model_of(self, episode: Episode) -> mjx.Model:
         """The model with this episode's person and robot base in it."""

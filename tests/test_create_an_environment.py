@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import agym_jax
+from agym_jax import placement
 from agym_jax.spec import RobotSpec
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -62,7 +63,7 @@ def test_every_public_piece_of_the_task_file_is_shown():
 
 
 def test_commands_and_links_exist():
-    modules = re.findall(r"python -m ([\w.]+)", TEXT) + re.findall(r"import \w+, ([\w.]+)", SHELL)
+    modules = re.findall(r"python -m ([\w.]+)", TEXT)
     assert {"agym_jax.placement", "agym_jax.observe", "train.enjoy", "train.ppo"} <= set(modules)
     assert not [m for m in modules if not importlib.util.find_spec(m)]
     links = re.findall(r"\]\(([^)#]+)\)", TEXT)
@@ -108,6 +109,18 @@ def test_names_from_the_package_exist():
             assert there or importlib.util.find_spec(f"{module}.{name}"), f"{module} {name}"
     rows = re.findall(r"^\| `(\w+)(?:\[[\w ]+\])?`[^|]*\| (?:the (?:base|hand|tool)|nothing)", TEXT, re.M)  # fmt: skip
     assert len(rows) >= 6 and set(rows) <= set(RobotSpec.__dataclass_fields__)
+
+
+def test_the_variable_and_the_messages_exist():
+    """The environment variable, and that a piece of each message in the table is in the code."""
+    assert set(re.findall(r"AGYM_JAX_\w+", TEXT)) == {placement.VARIABLE}
+    rows = re.findall(r"^\| `([^`|]+)`", TEXT[TEXT.index("## When something") :], re.M)
+    code = re.sub(r'"\s*f?"', "", "".join(p.read_text() for p in (ROOT / "agym_jax").rglob("*.py")))
+    names = r"'[^']*'|\.\.\.|Toybot(?:'s)?|Waving(?:'s|\.start)?|Reaching|RobotObs\.arm_angles|\d+|in \S+:"
+    for row in rows:
+        pieces = [x.strip() for x in re.split(names, row) if len(x.strip()) > 4]
+        assert not [x for x in pieces if x not in code and not x.startswith("Unknown")], row
+    assert len(rows) > 15
 
 
 def test_snippets_are_python():

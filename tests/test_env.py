@@ -276,9 +276,9 @@ def test_people_change_from_episode_to_episode(worlds: Worlds, rollout: Rollout)
     assert all(len(np.unique(seen[:, i], axis=0)) > 1 for i in range(BATCH))
     # the body follows: the upper arm is as long as this person's, not the last one's
     data, index = state.data, worlds.env.scene.index
-    length = np.linalg.norm(
-        data.xpos[:, index.upper_arm_body] - data.xpos[:, index.forearm_body], axis=-1
-    )
+    bodies = dict(zip(index.links, index.person_body, strict=True))
+    shoulder, elbow = (data.xpos[:, bodies[x]] for x in ("right_upper_arm", "right_forearm"))
+    length = np.linalg.norm(shoulder - elbow, axis=-1)
     np.testing.assert_allclose(
         length, 0.279 - 0.015 * np.asarray(state.episode.person.sex), atol=1e-5
     )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -73,7 +74,7 @@ def _episode(tremor: float, step: int) -> Episode:
     one = jnp.float32(1.0)
     person = Person(one, one, one, one, one, jnp.full(N, tremor, jnp.float32))
     pose = jnp.array([SPEC.pose.get(j, 0.0) for j in SPEC.joints], jnp.float32)
-    return Episode(person, None, pose, pose, jnp.int32(step))  # ty: ignore
+    return Episode(person, None, None, None, pose, pose, jnp.int32(step))  # ty: ignore
 
 
 def _data(env, angles) -> SimpleNamespace:
@@ -110,3 +111,28 @@ def test_only_active_and_trembling_people_move():
     assert not muscles.is_moving(jnp.zeros(N), False)
     assert muscles.is_moving(jnp.zeros(N), True)
     assert muscles.is_moving(jnp.zeros(N).at[3].set(-0.1), False)
+
+
+def test_limp_arms_have_no_muscles_and_frozen_people_no_motion():
+    limp, frozen = (dataclasses.replace(SPEC, still=x) for x in ("limp", "frozen"))
+    still, moving, one = jnp.bool_(False), jnp.bool_(True), jnp.float32(1.0)
+    load = jnp.full(N, 0.3)
+    clavicles = np.array(["clavicle" in x for x in SPEC.joints])
+    torque = muscles.torque(limp, jnp.ones(N), jnp.zeros(N), load, one, still)
+    np.testing.assert_allclose(torque, np.where(clavicles, 0.3, 0.0))
+    np.testing.assert_allclose(muscles.damping(limp, one, still), muscles.TISSUE_DAMPING)
+    assert muscles.damping(frozen, one, still) > 1e3
+    # an active or trembling person has the same muscles whatever a still one does
+    for spec in (limp, frozen):
+        np.testing.assert_allclose(
+            muscles.torque(spec, jnp.ones(N), jnp.zeros(N), load, one, moving),
+            muscles.torque(SPEC, jnp.ones(N), jnp.zeros(N), load, one, moving),
+        )
+
+
+def test_mattress_bears_the_arm_of_who_lies_down():
+    lying = dataclasses.replace(SPEC, postures="BedBathing", still="limp")
+    torque = muscles.torque(
+        lying, jnp.zeros(N), jnp.zeros(N), jnp.full(N, 0.3), jnp.float32(1.0), jnp.bool_(False)
+    )
+    np.testing.assert_array_equal(torque, 0.0)

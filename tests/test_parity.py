@@ -18,7 +18,9 @@ from conftest import BATCH, Rollout, Worlds
 
 from agym_jax import kinematics
 from agym_jax.person import muscles
+from agym_jax.person.body import RIGHT_ARM_LINKS
 from agym_jax.person.draw import People, draw_person
+from agym_jax.person.pose import draw_pose
 from agym_jax.scene import compose
 from agym_jax.sense import add_touch, no_touch, sense
 from agym_jax.spec import Pose
@@ -40,10 +42,12 @@ def _compiled_person(env: Any, episode: Episode) -> mujoco.MjModel:
     return compose(
         env.task,
         env.robot,
+        env.active,
         float(p.sex),
         float(p.stature),
         float(p.girth),
         float(p.limit_scale),
+        jax.tree.map(np.asarray, episode.pose),
         base,
     )
 
@@ -76,10 +80,14 @@ def crowd(static_env) -> Episode:
     placement = Placement(
         jnp.asarray(rng.normal(size=(n, 3)), jnp.float32),
         jnp.asarray(quat / np.linalg.norm(quat, axis=-1, keepdims=True), jnp.float32),
-        jnp.zeros((n, len(env.scene.arm.joints))),
+        jnp.zeros((n, len(env.scene.index.robot_joint))),
     )
     zero = jnp.zeros((n, len(spec.joints)))
-    return Episode(person, placement, zero, zero, jnp.zeros(n, jnp.int32))
+    pose = jax.vmap(draw_pose, (0, None, 0))(
+        jax.random.split(jax.random.PRNGKey(5), n), spec, person
+    )
+    rows = jax.vmap(env._rows_of)(person, pose)
+    return Episode(person, pose, rows, placement, zero, zero, jnp.zeros(n, jnp.int32))
 
 
 def test_fields_written_per_person_are_those_of_a_fresh_compilation(static_env, crowd: Episode):
@@ -128,10 +136,11 @@ def _press_goals(worlds: Worlds, state: Any) -> np.ndarray:
     """Joint angles that put the tip of the tool 4 cm behind the limb's axis (B, n_arm)."""
     env, index = worlds.env, worlds.env.scene.index
     model = env.scene.model
-    chain = kinematics.chain_of(model, index.robot_joint, index.tip_site, index.robot_base)
-    at = lambda x, i: np.asarray(x[:, i])  # noqa: E731
-    elbow, tip = at(state.data.xpos, index.forearm_body), at(state.data.site_xpos, index.tip_site)
-    hand, shoulder = at(state.data.xpos, index.hand_body), at(state.data.xpos, index.upper_arm_body)
+    tip_site = index.tools[0].tip
+    chain = kinematics.chain_of(model, index.robot_joint, tip_site, index.robot_base)
+    bodies = dict(zip(index.links, index.person_body, strict=True))
+    shoulder, elbow, hand = (np.asarray(state.data.xpos[:, bodies[x]]) for x in RIGHT_ARM_LINKS)
+    tip = np.asarray(state.data.site_xpos[:, tip_site])
     on_forearm = (np.arange(BATCH) % 2 == 0)[:, None]
     point = np.where(on_forearm, 0.5 * elbow + 0.5 * hand, 0.6 * elbow + 0.4 * shoulder)
     away = point - tip
@@ -210,14 +219,14 @@ def test_pressing_on_an_arm_is_c_mujocos(worlds: Worlds):
             assert contacts <= 8  # scene.MAX_CONTACTS: MJX would leave some out
             c, mine = shadow.data, _one(state.data, i)
             assert np.abs(c.qvel).max() > 0
-            force = float(jnp.sum(touch.tool_person) + touch.robot_person) / 5
+            force = float(jnp.sum(touch.tools[0].force) + touch.robot_person) / 5
             theirs = float(state.metrics["force/on_person"][i])
             worst["qpos"] = max(worst["qpos"], np.abs(c.qpos - mine.qpos).max())
             worst["qvel"] = max(worst["qvel"], np.abs(c.qvel - mine.qvel).max())
             worst["force"] = max(worst["force"], abs(force - theirs) / max(1.0, force))
             hardest = max(hardest, force)
             compared += theirs > 0.05
-    assert compared > 0.5 * PRESS * len(WATCHED) and hardest > 1.0  # it was about contact
+    assert compared > 0.5 * PRESS * len(WATCHED) and hardest > 0.5  # it was about contact
     assert worst["qpos"] < QPOS, worst
     assert worst["qvel"] < QVEL, worst
     assert worst["force"] < FORCE, worst
@@ -233,10 +242,11 @@ def test_sense_reads_c_mujocos_data_as_it_reads_mjxs(worlds: Worlds):
     mujoco.mj_kinematics(shadow.model, shadow.data)
     dims = world.episode.person.dims
     data = world.data.replace(qvel=jnp.full_like(world.data.qvel, 0.1))
-    mine, theirs = (sense(index, d, no_touch(index), 1, dims) for d in (data, shadow.data))
+    sizes = shadow.model.geom_size
+    mine, theirs = (sense(index, d, no_touch(index), 1, dims, sizes) for d in (data, shadow.data))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), mine, theirs)
     # the tip's velocity is the Jacobian's
     linear = np.zeros((3, shadow.model.nv))
     mujoco.mj_comPos(shadow.model, shadow.data)
-    mujoco.mj_jacSite(shadow.model, shadow.data, linear, None, index.tip_site)
-    np.testing.assert_allclose(mine.tool_vel_w, linear @ shadow.data.qvel, atol=1e-5)
+    mujoco.mj_jacSite(shadow.model, shadow.data, linear, None, index.tools[0].tip)
+    np.testing.assert_allclose(mine.tool.vel_w, linear @ shadow.data.qvel, atol=1e-5)

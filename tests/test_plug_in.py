@@ -42,9 +42,8 @@ NAME = "WavingToybot-v0"
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
     """The newcomer's module, imported; banks go to a temporary folder; all undone afterwards."""
     ids = agym_jax.list_envs()
-    folder = tmp_path_factory.mktemp("assets")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(placement, "asset_root", lambda: folder)
+        patch.setenv("AGYM_JAX_PLACEMENTS", str(tmp_path_factory.mktemp("placements")))
         module = importlib.import_module("toy_plug_in")
         try:
             yield module
@@ -57,7 +56,7 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
 @pytest.fixture(scope="module")
 def bank(toy: ModuleType) -> Path:
     """A small bank, built as a user builds it."""
-    assert placement.main(["build", NAME, "--size", str(SIZE)]) == 0
+    assert placement.main(["build", f"toy_plug_in:{NAME}", "--size", str(SIZE)]) == 0
     return placement.bank_path(toy.WAVING, toy.TOYBOT)
 
 
@@ -103,11 +102,21 @@ def test_a_name_that_is_taken_is_refused(toy: ModuleType):
     assert TASKS["Waving"] is toy.WAVING and ROBOTS["Toybot"] is toy.TOYBOT
 
 
-@pytest.mark.parametrize("name", ["ReachingToybot-v0", "WavingJacoHuman-v0"])
-def test_an_id_without_a_bank_says_how_to_build_it(toy: ModuleType, name: str):
-    plain = name.replace("Human", "")
-    with pytest.raises(MissingPlacementError, match=rf"agym_jax\.placement build {plain}"):
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [
+        ("WavingJacoHuman-v0", r"agym_jax\.placement build toy_plug_in:WavingJaco-v0$"),
+        ("ReachingToybot-v0", r"agym_jax\.placement build ReachingToybot-v0 \(with my_module:"),
+    ],
+)
+def test_an_id_without_a_bank_says_how_to_build_it(toy: ModuleType, name: str, command: str):
+    with pytest.raises(MissingPlacementError, match=command):
         agym_jax.make(name)
+
+
+def test_an_id_may_name_its_module(toy: ModuleType):
+    assert parse(f"toy_plug_in:{NAME}") == parse(NAME)
+    assert parse(f"toy_plug_in:{NAME}").name == NAME
 
 
 def test_the_builder_says_which_id_it_does_not_know(toy: ModuleType, capsys):
@@ -171,9 +180,10 @@ def test_a_link_without_inertia_is_named(toy: ModuleType, tmp_path: Path):
         compose(toy.WAVING, _with_file(toy, tmp_path, wrist[0], ""))
 
 
-def test_a_file_or_an_arm_that_is_not_there_is_named(toy: ModuleType, tmp_path: Path):
-    gone = dataclasses.replace(toy.TOYBOT, model=str(tmp_path / "toy_robott.xml"))
-    with pytest.raises(MissingAssetError, match="toy_robott"):
+def test_a_file_or_an_arm_that_is_not_there_is_named(toy: ModuleType):
+    wrong = toy.TOYBOT.model.replace("toy_robot", "toy_robott")
+    gone = dataclasses.replace(toy.TOYBOT, model=wrong)
+    with pytest.raises(MissingAssetError, match=r"toy_robott.*Did you mean 'toy_robot\.xml'"):
         compose(toy.WAVING, gone)
     arm = toy.TOYBOT.arms["left"]
     with pytest.raises(SpecError, match="Toybot has no 'right' arm, only: left"):

@@ -4,6 +4,11 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
 
 import gymnasium
 import pytest
@@ -47,6 +52,54 @@ def test_unknown_id_says_what_is_wrong_and_what_is_near(name: str, message: str)
     with pytest.raises(UnknownNameError, match=message) as caught:
         agym_jax.make(name)
     assert isinstance(caught.value, AgymError) and isinstance(caught.value, KeyError)
+
+
+@pytest.fixture
+def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder on the Python path with a module that registers a task, and broken ones."""
+    (tmp_path / "my_waving.py").write_text(
+        "import dataclasses\n"
+        "from agym_jax.registry import register_task\n"
+        "from agym_jax.tasks import TASKS\n"
+        "register_task(dataclasses.replace(TASKS['Reaching'], name='Waving'))\n"
+    )
+    (tmp_path / "my_broken.py").write_text("import a_package_that_is_not_there\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    TASKS.pop("Waving", None)
+    for name in ("my_waving", "my_broken"):
+        sys.modules.pop(name, None)
+
+
+def test_the_module_before_the_colon_is_imported_once(outside: Path):
+    with pytest.raises(UnknownNameError, match=r"own is my_module:WavingJaco-v0"):
+        parse("WavingJaco-v0")
+    recipe = parse("my_waving:WavingJacoHuman-v0")
+    assert recipe.name == "WavingJacoHuman-v0" and recipe.active
+    assert recipe.task is TASKS["Waving"] is parse("my_waving:WavingPR2-v0").task
+    assert parse("my_waving:ReachingJaco-v0") == parse("ReachingJaco-v0")
+    with pytest.raises(UnknownNameError, match=r"'WavingJaco-v0'\?.*my_waving was imported"):
+        parse("my_waving:WavngJaco-v0")
+
+
+@pytest.mark.parametrize("module", ["my_wavin", "my_wavin.tasks", "my-waving", ".my_waving", "a b"])
+def test_a_module_that_is_not_there_is_named(outside: Path, module: str):
+    wanted = rf"Unknown module '{re.escape(module)}'\. (Did you mean 'my_waving'|There are: ).*PYTHONPATH"
+    with pytest.raises(UnknownNameError, match=wanted):
+        parse(f"{module}:WavingJaco-v0")
+
+
+def test_what_a_module_itself_lacks_is_not_hidden(outside: Path):
+    with pytest.raises(ModuleNotFoundError, match="a_package_that_is_not_there"):
+        parse("my_broken:WavingJaco-v0")
+
+
+def test_the_program_that_runs_is_not_imported_again(outside: Path, monkeypatch):
+    program = ModuleType("__main__")
+    program.__file__ = str(outside / "my_broken.py")
+    monkeypatch.setitem(sys.modules, "__main__", program)
+    assert parse("my_broken:ReachingJaco-v0").name == "ReachingJaco-v0"
 
 
 def test_task_from_outside_gets_ids_and_says_what_it_lacks():

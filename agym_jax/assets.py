@@ -21,15 +21,30 @@ def asset_root() -> Path:
 
 
 def asset_path(name: str) -> Path:
-    """Full path of one asset, such as ``"robots/jaco.xml"``.
+    """Full path of one asset, such as ``"robots/jaco.xml"``, or of any file by its absolute path.
 
     Raises:
         MissingAssetError: there is no such file; the message lists the nearest ones.
     """
-    path = asset_root() / name
-    if not path.is_file():
-        folder = path.parent
-        existing = sorted(p.name for p in folder.glob("*")) if folder.is_dir() else []
-        hint = did_you_mean(path.name, existing)
-        raise MissingAssetError(f"No asset {name!r}. {hint}")
-    return path
+    path = asset_root() / name  # an absolute path stays as it is
+    if path.is_file():
+        return path
+    folder = path.parent
+    if not folder.is_dir():
+        known = next(p for p in folder.parents if p.is_dir())
+        missing = folder.relative_to(known).parts[0]
+        near = did_you_mean(missing, [p.name for p in known.iterdir() if p.is_dir()])
+        hint = f"The folder {known} has no folder {missing!r}. {near}"
+    else:
+        files = [p.name for p in folder.iterdir() if p.is_file()]
+        same = [x for x in files if x.endswith(path.suffix)]
+        hint = f"The folder {folder} is there. {did_you_mean(path.name, same or files)}"
+    if Path(name).is_absolute():
+        raise MissingAssetError(f"No file {name!r}. {hint}")
+    own = Path(name).absolute()
+    hint += (
+        f" {own} is there: give that absolute path." if own.is_file() else
+        " A relative path is one of the package's assets; give a file of your own by its absolute path, "
+        f"such as str(Path(__file__).parent / {path.name!r})."
+    )  # fmt: skip
+    raise MissingAssetError(f"No asset {name!r}. {hint}")

@@ -9,6 +9,7 @@ from agym_jax.person import pose as person_pose
 from agym_jax.scene import compose
 from agym_jax.spec import RobotSpec, Task
 from agym_jax.state import Placement
+from agym_jax.validate import COLLISION
 
 FAR = 0.1
 """Distances beyond this are not resolved [m]."""
@@ -51,7 +52,7 @@ class _World:
         self.model, self.data = model, mujoco.MjData(model)
         names = [model.geom(i).name for i in range(model.ngeom)]
         of = lambda *prefix: [  # noqa: E731
-            i for i, n in enumerate(names) if n.startswith(prefix) and "collision" in n
+            i for i, n in enumerate(names) if n.startswith(prefix) and COLLISION in n
         ]
         robot = of("robot/", "tool")
         rest = [i for i, n in enumerate(names) if n.startswith("person/")] + of("seat/")

@@ -6,10 +6,12 @@ WHEELCHAIR = SeatSpec(
     name="wheelchair",
     model="furniture/wheelchair.xml",
     geoms=("armrest_right_inner_collision", "armrest_right_outer_collision"),
+    front=((0.82, -2.36, 1.86), (-0.35, -0.15, 0.85)),
 )
 
 BED = SeatSpec(
     name="bed",
     model="furniture/bed.xml",
     geoms=("mattress_collision", "skirt_collision"),
+    front=((2.03, -1.7, 2.0), (-0.4, 0.0, 0.8)),
 )

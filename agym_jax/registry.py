@@ -1,9 +1,16 @@
-"""Environment ids: the product of tasks, robots and people, and what users add to it."""
+"""Environment ids: the product of tasks, robots and people, and what users add to it.
+
+``my_module:WavingJaco-v0`` imports ``my_module``, which registers what it has, and then means
+``WavingJaco-v0``: so every command line knows ids from outside of the package.
+"""
 
 from __future__ import annotations
 
 import difflib
+import importlib
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 from agym_jax.errors import SpecError, UnknownNameError
 from agym_jax.robots import ROBOTS
@@ -56,28 +63,54 @@ def list_envs() -> list[str]:
 
 
 def parse(name: str) -> Recipe:
-    """What an id stands for, such as ``ScratchItchJaco-v0`` or ``ScratchItchJacoHuman-v0``.
+    """What an id stands for, such as ``ScratchItchJaco-v0`` or ``my_module:WavingJacoHuman-v0``.
+
+    Args:
+        name: an id; a module before it is imported first. The recipe's name is without it.
 
     Raises:
-        UnknownNameError: there is no such id; the message has the nearest, and says whether it is
-            the task or the robot that does not exist.
+        UnknownNameError: there is no such module or id; the message has the nearest, and says whether
+            it is the task or the robot that does not exist.
     """
-    plain = name.removeprefix("agym_jax:").removeprefix("agym_jax/")
+    module, _, plain = name.removeprefix("agym_jax/").rpartition(":")
+    _import(module, name)
     for task in TASKS.values():
         for robot in ROBOTS.values():
             for active in (False, True):
                 known = f"{task.name}{robot.name}{'Human' if active else ''}-{VERSION}"
                 if plain == known:
                     return Recipe(known, task, robot, active)
-    raise UnknownNameError("environment", name, list_envs(), _advice(plain))
+    raise UnknownNameError("environment", name, list_envs(), _advice(plain, module))
 
 
-def _advice(name: str) -> str:
+def _import(module: str, name: str) -> None:
+    """Import the module before an id's colon, unless it is the program that runs."""
+    program = sys.modules["__main__"]
+    running = (
+        getattr(getattr(program, "__spec__", None), "name", None)
+        or Path(getattr(program, "__file__", "")).stem
+    )
+    if module in ("", "agym_jax", running):
+        return
+    try:
+        if not all(part.isidentifier() for part in module.split(".")):
+            raise ModuleNotFoundError(name=module)
+        importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
+            raise  # the module is there, but something that it imports is not
+        files = [p.stem for p in Path().glob("*.py")]
+        advice = f"Is its folder on the Python path (PYTHONPATH), or the current one? It comes before the colon of {name!r}."
+        raise UnknownNameError("module", module, files, advice) from None
+
+
+def _advice(name: str, module: str) -> str:
     stem = name.rsplit("-", 1)[0].removesuffix("Human")
     task = next((t for t in TASKS if stem.startswith(t)), None)
+    own = f"{module} was imported." if module else f"One of your own is my_module:{name}."
     if task and stem.removeprefix(task) not in ROBOTS:
         robot = stem.removeprefix(task)
         near = difflib.get_close_matches(robot, list(ROBOTS), n=1)
         guess = f" (did you mean {near[0]!r}?)" if near else ""
-        return f"The task {task} exists, the robot {robot!r} does not{guess}; robots: {', '.join(ROBOTS)}."
-    return f"Ids are task + robot + ('Human' for an active person) + '-{VERSION}'."
+        return f"The task {task} exists, the robot {robot!r} does not{guess}; robots: {', '.join(ROBOTS)}. {own}"
+    return f"Ids are task + robot + ('Human' for an active person) + '-{VERSION}'. {own}"

@@ -21,12 +21,14 @@ import mujoco
 import numpy as np
 
 from agym_jax.assets import asset_path
-from agym_jax.errors import SpecError, UnknownNameError, did_you_mean
+from agym_jax.contacts import contact_pairs, is_sensed, tool_prefixes
+from agym_jax.errors import UnknownNameError
 from agym_jax.index import Index, ToolIndex
 from agym_jax.person import anthropometry, body
 from agym_jax.person import pose as person_pose
 from agym_jax.person.model import build as build_person
-from agym_jax.spec import Arm, Pose, RobotSpec, Task, ToolSpec
+from agym_jax.spec import Arm, Pose, RobotSpec, Task, ToolSpec, Vec3
+from agym_jax.validate import check_robot, check_seat, check_task, check_tool
 
 ITERATIONS, LS_ITERATIONS = 4, 8
 """Newton iterations and line-search steps of the JAX implementation. ``tests/test_parity.py`` compares a
@@ -37,12 +39,6 @@ SKIN_SOLREF = (0.04, 1.0)
 SKIN_SOLIMP = (0.7, 0.95, 0.01, 0.5, 2.0)
 """Soft skin: the constraint's time constant is two physics steps, the shortest that is stable."""
 FRICTION = 0.5  # AG: lateral friction of person, tool and furniture
-SELF_CONTACTS = (
-    ("upper_arm", "chest"), ("forearm", "chest"), ("forearm", "waist"), ("forearm", "thigh"),
-    ("forearm", "hips"), ("hand", "chest"), ("hand", "waist"), ("hand", "hips"), ("hand", "thigh"),
-    ("hand", "head"),
-)  # fmt: skip
-"""Of the person's moving arm with the rest of the body (AG's self-collision mask, the near ones)."""
 
 
 @dataclass(frozen=True)
@@ -104,17 +100,23 @@ def compose(
         solid: with every collision geom and link, not only those that may touch in physics.
 
     Raises:
-        SpecError: robot, tool or seat lacks a name that the scene needs.
+        SpecError: robot, tool, seat or task do not fit together, see ``validate``.
+        UnknownNameError: the task names a joint or link that no person has.
     """
+    check_task(task)
     arms, moving = robot.arms_for(task), task.person.moving(active)
     spec = _load("scene.xml") if visual else mujoco.MjSpec()
+    if visual and task.seat.front is not None:
+        _look(spec.camera("front"), *task.seat.front)
     spec.modelname = f"{task.name}{robot.name}"
     _set_options(spec, task)
     fixed_base = robot.fixed_base(task)
     base = base or fixed_base or Pose()
-    robot_spec = _load(robot.model)
-    for arm in arms:
-        _check_names(robot_spec, robot, arm)
+    robot_spec, seat_spec = _load(robot.model), _load(task.seat.model)
+    check_robot(robot_spec, robot, task)
+    check_seat(seat_spec, task.seat)
+    if task.tool is not None:
+        check_tool(_load(task.tool.model), task.tool)
     _weld_the_rest(robot_spec, robot, task, arms)
     robot_root = robot_spec.worldbody.first_body().name
     _attach(spec, robot_spec, base, "robot/")
@@ -124,7 +126,7 @@ def compose(
     for b in spec.bodies:
         if b.name.startswith(("robot/", "tool")):
             b.gravcomp = 1.0  # AG switches gravity off for robot and tool
-    _attach(spec, _load(task.seat.model), Pose(), "seat/")
+    _attach(spec, seat_spec, Pose(), "seat/")
     if (visual or solid) and task.seat.name in robot.mounts:
         # one that belongs to the seat is drawn in the world, one that moves with the robot at its base
         mount = Pose(base.pos) if fixed_base is None else Pose()
@@ -140,11 +142,6 @@ def compose(
     if not everything:
         _make_lean(spec, f"robot/{robot_root}", links)
     return spec.compile()
-
-
-def tool_prefixes(task: Task, arms: tuple[Arm, ...]) -> tuple[str, ...]:
-    """Name prefix of the tool in each arm's hand; none for tasks without a tool."""
-    return ("tool/", "tool2/")[: len(arms)] if task.tool is not None else ()
 
 
 def lean_links(task: Task, moving: tuple[str, ...]) -> tuple[str, ...]:
@@ -170,46 +167,17 @@ def _make_lean(spec: mujoco.MjSpec, robot_root: str, links: tuple[str, ...]) -> 
         spec.add_exclude(bodyname1=robot_root, bodyname2=f"person/{link}")
 
 
-def contact_pairs(
-    task: Task, arms: tuple[Arm, ...], moving: tuple[str, ...]
-) -> dict[str, list[tuple[str, str]]]:
-    """Geom pairs that may touch, by what their force means; names with prefixes.
-
-    The hand and the tool's working part may touch every limb of ``task.person.limbs``; the other
-    links and the rest of the tool the arm that is helped, the links also the thigh beneath it.
-    """
-    limbs = task.person.limbs
-    arm = [x for x in limbs if x.split("_", 1)[-1] in ("upper_arm", "forearm", "hand")]
-    near = [*arm, *(x for x in limbs if x.endswith("thigh"))]
-    seat = [f"seat/{g}" for g in task.seat.geoms]
-    pairs: dict[str, list[tuple[str, str]]] = {}
-    for prefix in tool_prefixes(task, arms):
-        parts = [f"{prefix}{g}" for g in task.tool.geoms]  # pyrefly: ignore
-        working, rest = parts[: task.tool.n_working], parts[task.tool.n_working :]  # pyrefly: ignore
-        pairs[f"{prefix}person"] = [(g, f"person/{x}") for g in working for x in limbs] + [
-            (g, f"person/{x}") for g in rest for x in arm
-        ]
-        pairs[f"{prefix}seat"] = [(g, x) for g in working for x in seat]
-    pairs["robot_person"], pairs["robot_seat"] = [], []
-    for each in arms:
-        hand, *links = (f"robot/{g}" for g in each.links)
-        pairs["robot_person"] += [(hand, f"person/{x}") for x in limbs]
-        pairs["robot_person"] += [(g, f"person/{x}") for g in links for x in near]
-        pairs["robot_seat"] += [(hand, g) for g in seat]
-    free = [x for x in arm if body.is_free(body.LINK[x], moving)]
-    outer = [x for x in free if task.seat.bears_upper_arm or not x.endswith("upper_arm")]
-    pairs["person_seat"] = [(f"person/{x}", g) for x in outer for g in seat]
-    side = task.person.arm
-    pairs["person_self"] = [
-        (f"person/{side}_{a}", f"person/{side}_{b}" if b == "thigh" else f"person/{b}")
-        for a, b in SELF_CONTACTS
-        if f"{side}_{a}" in free and (f"{side}_{b}" if b == "thigh" else b) in limbs
-    ]
-    return pairs
-
-
 def _load(asset: str) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_file(str(Path(asset_path(asset))))
+
+
+def _look(camera: mujoco.MjsCamera, origin: Vec3, target: Vec3) -> None:
+    """Point a camera, upright."""
+    back = np.subtract(origin, target) / np.linalg.norm(np.subtract(origin, target))
+    right = np.cross((0.0, 0.0, 1.0), back)
+    right /= np.linalg.norm(right)
+    camera.pos = origin
+    camera.alt.xyaxes = (*right, *np.cross(back, right))  # how the stage's file orients it too
 
 
 def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, pose: Pose, prefix: str) -> None:
@@ -227,26 +195,6 @@ def _set_options(spec: mujoco.MjSpec, task: Task) -> None:
     option.iterations, option.ls_iterations = ITERATIONS, LS_ITERATIONS
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
     spec.add_numeric(name="max_contact_points", size=1, data=[MAX_CONTACTS])
-
-
-def _check_names(spec: mujoco.MjSpec, robot: RobotSpec, arm: Arm) -> None:
-    wanted = {
-        "joint": (*arm.joints, *arm.gripper),
-        "site": (arm.end_effector, arm.tool_frame, robot.torso),
-        "geom": arm.links,
-    }
-    existing = {
-        "joint": [j.name for j in spec.joints],
-        "site": [s.name for s in spec.sites],
-        "geom": [g.name for g in spec.geoms],
-    }
-    for kind, names in wanted.items():
-        for name in names:
-            if name not in existing[kind]:
-                raise SpecError(
-                    f"{robot.name}'s file {robot.model} has no {kind} {name!r}. "
-                    + did_you_mean(name, [n for n in existing[kind] if n])
-                )
 
 
 def _weld_the_rest(
@@ -325,11 +273,6 @@ def _add_contacts(
                     reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=b,
                     intprm=[bits, 2, 1],  # force and position of the contact of largest force
                 )  # fmt: skip
-
-
-def is_sensed(kind: str) -> bool:
-    """Whether pairs of this kind carry a contact sensor."""
-    return kind.startswith(("tool", "robot_person"))
 
 
 def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[str, ...]) -> Index:

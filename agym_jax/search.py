@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -90,8 +91,8 @@ def search(
         the rows, best first, and how the search went.
 
     Raises:
-        SpecError: the robot has no orientation for the start, a goal is out of every base's reach,
-            or no start pose is both reached and free.
+        SpecError: robot and task do not fit together, a goal is out of every base's reach, or no start
+            pose is both reached and free.
     """
     scene = build_scene(task, robot)
     chains = _chains(scene)
@@ -104,7 +105,7 @@ def search(
     key = jax.random.PRNGKey(seed + 1)
 
     angles, scores, ok = [], np.zeros(n), np.ones(n, bool)
-    reached: dict[str, np.ndarray] = {}
+    reached: dict[str, Any] = {}
     names = _goal_names(task, len(chains))
     for a, chain in enumerate(chains):
         solve = partial(_solve, chain)
@@ -132,10 +133,10 @@ def search(
                 f"No base of {robot.name} from which {task.name} can start reaches the goal {name!r} "
                 f"({n} tried). Widen RobotSpec.searches[{task.name!r}] or change Task.goals."
             )
-    count = sum(hits.astype(int) for hits in reached.values()) if reached else np.zeros(n, int)
+    count = sum((hits.astype(int) for hits in reached.values()), np.zeros(n, int))
     order = np.lexsort((-scores, -count))
     joined = _unwind(np.concatenate(angles, axis=1), chains, ok)
-    candidates = Placement(goals.base_pos, quats, joined)
+    candidates = Placement(goals.base_pos, quats, joined)  # pyrefly: ignore[bad-argument-type]
     rows = _free_rows(task, robot, candidates, order[ok[order]], size)
     report = Report(
         n, int(ok.sum()), {k: int((v & ok).sum()) for k, v in reached.items()}, len(rows)
@@ -190,14 +191,19 @@ def _draw_goals(task: Task, robot: RobotSpec, n_arms: int, n: int, seed: int) ->
         base = np.array(area.centre) + np.stack([away, along, np.zeros(n)], axis=1)
         yaw = area.yaw + rng.uniform(-YAW, YAW, n)
     keys = jax.random.split(jax.random.PRNGKey(seed), n)
-    start = np.asarray(jax.vmap(lambda k: task.start(k, robot.name))(keys))[:, :n_arms]
+    start = np.asarray(jax.vmap(lambda k: task.start(k, robot.name))(keys))
+    if start.ndim != 3 or start.shape[1] < n_arms or start.shape[2] != 3:
+        raise SpecError(
+            f"{task.name}.start must give one row [m] for each arm, of shape ({n_arms}, 3); with "
+            f"{robot.name} it gives {start.shape[1:]}."
+        )
     people = _points(task, [x for names in task.goals for x in names], 64, seed)
     who = rng.integers(0, 64, n)
     points = tuple(
         np.stack([people[name][who] for name in names], axis=1) if names else np.zeros((n, 0, 3))
         for names in _goal_names(task, n_arms)
     )
-    return Goals(base, yaw, start, points)
+    return Goals(base, yaw, start[:, :n_arms], points)
 
 
 def _points(task: Task, names: list[str], count: int, seed: int) -> dict[str, np.ndarray]:
@@ -270,10 +276,10 @@ def _solve(chain, key, pos, rot, weight, restarts):
     return tuple(np.asarray(x) for x in out)
 
 
-_COMPILED: dict[int, object] = {}
+_COMPILED: dict[int, Any] = {}
 
 
-def _solver(key: int, chain: kinematics.Chain):
+def _solver(key: int, chain: kinematics.Chain) -> Any:
     if key not in _COMPILED:
 
         def one(start, pos, rot, weight):

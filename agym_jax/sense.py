@@ -79,7 +79,7 @@ class Sensed:
     @property
     def tool_on_person(self) -> Array:
         """Normal force of all tools on the person [N] ()."""
-        return sum(t.on_person for t in self.tools)
+        return jnp.sum(jnp.stack([t.on_person for t in self.tools]))
 
     @property
     def force_on_person(self) -> Array:

@@ -156,6 +156,7 @@ class SeatSpec:
     model: str  # asset
     geoms: tuple[str, ...]  # collision geoms that a tool, hand or limb may touch
     friction: float = 0.5  # against the person
+    front: tuple[Vec3, Vec3] | None = None  # where the camera "front" stands and looks, world [m]
     bears_upper_arm: bool = False  # whether the upper arm may rest on it, not only forearm and hand
 
 

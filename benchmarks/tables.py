@@ -103,7 +103,7 @@ def nan(folder: Path = RESULTS) -> str:
 
 def policies(folder: Path = RESULTS) -> str:
     """What shipped policies achieve."""
-    lines = read_results("evaluation", ("env", "policy", "seed"), folder)
+    lines = read_results("evaluation", ("env", "policy"), folder)
     if not lines:
         return NOTHING
     body = [
@@ -119,12 +119,12 @@ def policies(folder: Path = RESULTS) -> str:
 
 def training(folder: Path = RESULTS) -> str:
     """What training costs."""
-    lines = read_results("training", ("env", "impl", "seed"), folder)
+    lines = read_results("training", ("env", "impl"), folder)
     if not lines:
         return NOTHING
     body = [
         f"| {x['env']} | {x['impl']} | {x['num_envs']:,} | {x['steps']:,} | {x['start']} "
-        f"| {x['wall_s']:.0f} s | {x['success']:.0%} |"
+        f"| {x['wall_s']:.0f} s{', 4 on one GPU' if 'sharing' in x else ''} | {x['success']:.0%} |"
         for x in sorted(lines, key=lambda x: (x["env"], x["impl"], x["seed"]))
     ]
     head = "| environment | physics | worlds | steps | start | wall time, all in | success at the end |"

@@ -111,16 +111,8 @@ def test_names_from_the_package_exist():
     assert len(rows) >= 6 and set(rows) <= set(RobotSpec.__dataclass_fields__)
 
 
-def test_the_variable_and_the_messages_exist():
-    """The environment variable, and that a piece of each message in the table is in the code."""
+def test_the_variable_exists():
     assert set(re.findall(r"AGYM_JAX_\w+", TEXT)) == {placement.VARIABLE}
-    rows = re.findall(r"^\| `([^`|]+)`", TEXT[TEXT.index("## When something") :], re.M)
-    code = re.sub(r'"\s*f?"', "", "".join(p.read_text() for p in (ROOT / "agym_jax").rglob("*.py")))
-    names = r"'[^']*'|\.\.\.|Toybot(?:'s)?|Waving(?:'s|\.start)?|Reaching|RobotObs\.arm_angles|\d+|in \S+:"
-    for row in rows:
-        pieces = [x.strip() for x in re.split(names, row) if len(x.strip()) > 4]
-        assert not [x for x in pieces if x not in code and not x.startswith("Unknown")], row
-    assert len(rows) > 15
 
 
 def test_snippets_are_python():

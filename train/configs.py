@@ -183,7 +183,8 @@ def config_for(env_name: str) -> PPOConfig:
         env_name: environment id, such as ``"ScratchItchJaco-v0"``; an id of no known task gets
             the base.
     """
-    tasks = [task for task in TASK_CHANGES if env_name.startswith(task)]
+    plain = env_name.rpartition(":")[2]  # without the module of a plug-in
+    tasks = [task for task in TASK_CHANGES if plain.startswith(task)]
     changes = TASK_CHANGES[max(tasks, key=len)] if tasks else {}
     return dataclasses.replace(PPOConfig(), env_name=env_name, **changes)
 
@@ -223,7 +224,8 @@ def resolve(config: PPOConfig, platform: str) -> PPOConfig:
     Raises:
         ConfigError: the data of an update do not divide into mini-batches.
     """
-    worlds = next((n for task, n in WORLDS.items() if config.env_name.startswith(task)), 4096)
+    plain = config.env_name.rpartition(":")[2]
+    worlds = next((n for task, n in WORLDS.items() if plain.startswith(task)), 4096)
     num_envs = config.num_processes or (64 if platform == "cpu" else worlds)
     batch = num_envs * config.num_steps
     if batch // config.num_mini_batch < LEAST_SAMPLES and batch % LEAST_SAMPLES == 0:

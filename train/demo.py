@@ -144,7 +144,7 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
         print(f"[{time.perf_counter() - began:4.0f} s] {text}", flush=True)
 
     check_writable(config.out, "Choose another with --out.")
-    path = find_policy(config.env_name, None, config.policy)
+    path = find_policy(config.env_name.rpartition(":")[2], None, config.policy)
     env = make(config.env_name, "jax")
     policy = load_policy(path, env)
     say(f"Compiling {env.name} for {config.people} people. About a minute, once on this machine.")

@@ -224,7 +224,7 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
         _check_outputs(config)
         path = None
         if config.policy not in BASELINES:
-            path = find_policy(config.env_name, config.load_dir, config.policy)
+            path = find_policy(config.env_name.rpartition(":")[2], config.load_dir, config.policy)
         env = make(config.env_name, "jax")
         if path is None:
             policy = baseline_policy(str(config.policy), env.action_size)

@@ -277,7 +277,7 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
             check_writable(Path(config.json).parent, "Choose another file with --json.")
         policy, path = config.policy, config.policy
         if policy not in BASELINES:
-            path = find_policy(config.env_name, config.load_dir, config.policy)
+            path = find_policy(config.env_name.rpartition(":")[2], config.load_dir, config.policy)
         env = make(config.env_name, config.impl)
         if policy not in BASELINES:
             policy = load_policy(Path(str(path)), env, config.any_env)

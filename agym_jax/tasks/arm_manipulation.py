@@ -170,18 +170,20 @@ class ArmManipulation:
         _, elbow, hand = (s.link_pos_w[name] for name in RIGHT_ARM_LINKS)
         goals = (elbow, hand)[: len(s.tools)]
         apart = [jnp.linalg.norm(t.pos_w - g) for t, g in zip(s.tools, goals, strict=True)]
+        speeds = [jnp.linalg.norm(t.vel_w) for t in s.tools]
+        pressures = [_pressure(t) for t in s.tools]
         return {
             "distance_human": c.distance_human * state.nearness,
             # one tool counts for both, as in AG
-            "distance_tools": -c.distance_tool * sum(apart) * (2 / len(s.tools)),
+            "distance_tools": -2.0 * c.distance_tool * jnp.mean(jnp.stack(apart)),
             "action": -c.action * jnp.sum(jnp.square(action)),
             **preference_terms(
                 c.preferences,
-                sum(jnp.linalg.norm(t.vel_w) for t in s.tools),
+                jnp.sum(jnp.stack(speeds)),
                 s.robot_on_person,  # the scoopers' touch is wanted
                 jnp.float32(0.0),
             ),
-            "preference_high_pressures": -c.pressure * sum(_pressure(t) for t in s.tools),
+            "preference_high_pressures": -c.pressure * jnp.sum(jnp.stack(pressures)),
         }
 
     def observe(self, state: ArmState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:

@@ -155,8 +155,8 @@ class BedBathing:
         along = length * (ring + 1) / (n_rings + 1)
         angle = place * d / radius
         local = jnp.stack([-radius * jnp.sin(angle), -radius * jnp.cos(angle), -along], axis=-1)
-        exists = (ring < n_rings) & (place < n_around)
-        return jnp.where(exists[:, None], local, 0.0), exists.astype(jnp.float32)
+        exists = jnp.asarray((ring < n_rings) & (place < n_around), jnp.float32)
+        return local * exists[:, None], exists
 
     def advance(self, state: BathState, sensed: Sensed) -> tuple[BathState, dict[str, Array]]:
         """Move the points with the arm, and wipe those near the pad's face while it presses."""

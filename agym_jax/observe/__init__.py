@@ -115,7 +115,3 @@ def main(argv: list[str]) -> int:
     for title, record in records.items():
         print(f"{title}: {size(record)} columns\n\n{table(record)}\n")
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))

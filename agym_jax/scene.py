@@ -132,7 +132,7 @@ def compose(
         mount = Pose(base.pos) if fixed_base is None else Pose()
         _attach(spec, _load(robot.mounts[task.seat.name]), mount, "mount/")
     d = anthropometry.dims(sex, stature, girth)
-    pose = pose or person_pose.typical(task.person, sex, stature, girth)
+    pose = pose or person_pose.typical(task.person, sex, stature, girth, limit_scale)
     rows = person_pose.rows(task.person, pose, d, moving, limit_scale, np)
     everything = visual or solid
     links = tuple(x.name for x in body.LINKS) if everything else lean_links(task, moving)

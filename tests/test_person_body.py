@@ -232,7 +232,7 @@ def test_jax_numpy_and_compiled_model_are_the_same_person(seed: int, task):
     spec, moving = task.person, task.person.moving(False)
     d, pose = (
         anthropometry.dims(sex, stature, girth),
-        person_pose.typical(spec, sex, stature, girth),
+        person_pose.typical(spec, sex, stature, girth, scale),
     )
     rows = person_pose.rows(spec, pose, d, moving, scale, np)
     args = [jnp.float32(x) for x in (sex, stature, girth)]

@@ -1,4 +1,8 @@
-"""How the person of an episode sits or lies: chest pose and joint angles."""
+"""How the person of an episode sits or lies: chest pose and joint angles.
+
+DEVIATION(level-forearm): a seated person whose elbow cannot bend to 90 degrees leans the upper arm
+forward instead; AG only clips the elbow, which puts the forearm 2 cm into the armrest.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +52,9 @@ def draw_pose(key: jax.Array, spec: PersonSpec, person: Person) -> Pose:
     if not spec.postures:
         widths = np.array([spec.pose_range.get(j, 0.0) for j in body.JOINTS], np.float32)
         noise = widths * jax.random.uniform(key, widths.shape, minval=-1.0, maxval=1.0)
-        pose = seated(spec, person.dims, person.sex, person.stature, person.girth, jnp)
+        pose = seated(
+            spec, person.dims, person.sex, person.stature, person.girth, jnp, person.limit_scale
+        )
         return Pose(pose.root_pos, pose.root_quat, pose.angles + noise)
     bank = load_postures(spec.postures)
     apart = unlikeness(bank, person.sex, person.stature, person.girth, person.limit_scale, jnp)
@@ -67,13 +73,28 @@ def unlikeness(
 
 
 def seated(
-    spec: PersonSpec, d: anthropometry.Dims, sex: Any, stature: Any, girth: Any, xp: Any
+    spec: PersonSpec,
+    d: anthropometry.Dims,
+    sex: Any,
+    stature: Any,
+    girth: Any,
+    xp: Any,
+    limit_scale: Any = 1.0,
 ) -> Pose:
-    """The task's fixed pose, with the chest where this person's is when the thighs rest on the seat."""
+    """The task's fixed pose, with the chest where this person's is when the thighs rest on the seat.
+
+    An upper arm leans forward by what the elbow cannot bend, so that the forearm stays level.
+    """
     height = anthropometry.sitting_height(d, sex, stature, girth)
     zero = 0.0 * height
     root = xp.stack([xp.asarray(zero), xp.asarray(CHEST_Y + zero), xp.asarray(height)])
     angles = xp.asarray([spec.pose.get(j, 0.0) for j in body.JOINTS], dtype="float32")
+    order = list(body.JOINTS)
+    for side in "rl":
+        elbow = spec.pose.get(f"{side}_elbow_x", 0.0)
+        (least, _), *_ = body.joint_limits((f"{side}_elbow_x",), limit_scale, xp)
+        lean = -xp.maximum(least - elbow, 0.0)
+        angles = angles + lean * (np.arange(len(order)) == order.index(f"{side}_shoulder_x"))
     return Pose(root, xp.asarray((1.0, 0.0, 0.0, 0.0)) + zero, angles + zero)
 
 
@@ -85,13 +106,19 @@ def lying(bank: Postures, row: Any, d: anthropometry.Dims, xp: Any) -> Pose:
     return Pose(at(bank.root_pos) + up, at(bank.root_quat), at(bank.angles))
 
 
-def typical(spec: PersonSpec, sex: float, stature: float = 1.0, girth: float = 1.0) -> Pose:
-    """A pose to build a scene with, in NumPy: of a person with full joint limits."""
+def typical(
+    spec: PersonSpec,
+    sex: float,
+    stature: float = 1.0,
+    girth: float = 1.0,
+    limit_scale: float = 1.0,
+) -> Pose:
+    """A pose to build a scene with, in NumPy."""
     d = anthropometry.dims(sex, stature, girth)
     if not spec.postures:
-        return seated(spec, d, sex, stature, girth, np)
+        return seated(spec, d, sex, stature, girth, np, limit_scale)
     bank = load_postures(spec.postures)
-    row = np.argmin(unlikeness(bank, sex, stature, girth, 1.0, np))
+    row = np.argmin(unlikeness(bank, sex, stature, girth, limit_scale, np))
     return lying(bank, int(row), d, np)
 
 
@@ -99,7 +126,8 @@ def posed_joints(spec: PersonSpec) -> tuple[str, ...]:
     """Joints that a pose may bend: the others are 0, or at the limit nearest to it."""
     if spec.postures:
         return tuple(body.JOINTS)
-    return tuple(j for j in body.JOINTS if j in spec.pose or j in spec.pose_range)
+    bent = {*spec.pose, *spec.pose_range, "r_shoulder_x", "l_shoulder_x"}
+    return tuple(j for j in body.JOINTS if j in bent)
 
 
 def rows(

@@ -1,0 +1,62 @@
+"""Learning curves of the recorded trainings as one picture: ``python -m benchmarks.curves``.
+
+Reads ``benchmarks/results/curves.jsonl`` (one line a training: ``env_steps``, ``return`` and ``success`` of
+the episodes that ended since the line before) and draws ``docs/images/learning_curves.png``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from benchmarks.tables import RESULTS
+
+OUTPUT = RESULTS.parent.parent / "docs" / "images" / "learning_curves.png"
+
+
+def newest(path: Path = RESULTS / "curves.jsonl") -> dict[str, dict[str, Any]]:
+    """The last recorded curve of every environment."""
+    lines = [json.loads(row) for row in path.read_text().splitlines() if row.strip()]
+    return {line["env"]: line for line in lines}
+
+
+def draw(curves: dict[str, dict[str, Any]], output: Path) -> None:
+    """One panel a task: success over millions of steps, a line a robot."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    robots = ("PR2", "Jaco", "Baxter", "Sawyer")
+    tasks = sorted({_task(name, robots) for name in curves})
+    figure, panels = plt.subplots(1, len(tasks), figsize=(3.6 * len(tasks), 3.0), squeeze=False)
+    for panel, task in zip(panels[0], tasks, strict=True):
+        for robot in robots:
+            line = curves.get(f"{task}{robot}-v0")
+            if line:
+                steps = [x / 1e6 for x in line["env_steps"]]
+                panel.plot(steps, [100 * x for x in line["success"]], label=robot, linewidth=1.4)
+        panel.set(title=task, xlabel="million steps", ylim=(0, 101))
+        panel.grid(alpha=0.25)
+    panels[0][0].set_ylabel("success while training [%]")
+    panels[0][0].legend(frameon=False, fontsize=8)
+    figure.tight_layout()
+    figure.savefig(output, dpi=110)
+    plt.close(figure)
+
+
+def _task(name: str, robots: tuple[str, ...]) -> str:
+    return next(name.removesuffix(f"{r}-v0") for r in robots if name.endswith(f"{r}-v0"))
+
+
+def main() -> int:
+    """The command line."""
+    draw(newest(), OUTPUT)
+    print(OUTPUT)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

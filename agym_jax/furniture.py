@@ -13,5 +13,5 @@ BED = SeatSpec(
     name="bed",
     model="furniture/bed.xml",
     geoms=("mattress_collision", "skirt_collision"),
-    front=((2.03, -1.7, 2.0), (-0.4, 0.0, 0.8)),
+    front=((0.75, -1.75, 2.75), (-0.45, 0.0, 0.8)),
 )

@@ -6,6 +6,7 @@ MuJoCo's viewer, and prints each episode's return, force and success.
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 import warnings
@@ -25,6 +26,8 @@ from train.evaluate import BASELINES, AnyPolicy, baseline_policy
 from train.npz import check_writable
 from train.policy import find_policy, load_policy
 from train.rollout import FORCE_KEY
+
+SHEET_PICTURES = 20
 
 
 @dataclass(frozen=True)
@@ -200,6 +203,8 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
         )
         lasts.append(last)
         if config.clip or config.sheet:
+            if not config.clip:  # a sheet shows twenty of them
+                frames = frames[:: math.ceil(len(frames) / SHEET_PICTURES)]
             pictures += film(
                 env, frames, config.width, config.height, config.camera, config.backend
             )

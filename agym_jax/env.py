@@ -36,6 +36,7 @@ from agym_jax.physics import (
     WARP_LOST,
     WARP_ROWS_PER_WORLD,
     choose_impl,
+    place_static_geoms,
     put_model,
 )
 from agym_jax.placement import load_bank
@@ -81,6 +82,8 @@ class AssistiveEnv(brax_envs.Env):
         self._limits = np.array(
             self.scene.model.jnt_range[self.scene.index.robot_joint], np.float32
         )
+        welded = self.scene.model.body_weldid[self.scene.model.geom_bodyid] == 0
+        self._static_geoms = np.flatnonzero(welded)
         self._driven = dataclasses.replace(task.person, joints=self.scene.moving)
 
     # -- sizes ---------------------------------------------------------------------------------
@@ -246,6 +249,8 @@ class AssistiveEnv(brax_envs.Env):
             episode = _select(where, episode, old.episode)
         model = self._model_of(episode)
         data = mjx.kinematics(model, data.replace(**fresh))
+        if self.impl == "warp":
+            data = place_static_geoms(self._static_geoms, model, data)
         sensed = self._sense(model, data, no_touch(index), 1, episode)
         task = self.task.init(key_task, sensed)
         obs = self._observe(task, sensed)

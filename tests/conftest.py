@@ -6,10 +6,14 @@ import os
 from typing import Any, NamedTuple
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 
 import agym_jax
+from agym_jax.scene import compose
+from agym_jax.spec import Pose
+from agym_jax.state import Episode
 from agym_jax.wrappers import VectorEnv, vectorize
 
 BATCH = 8
@@ -49,6 +53,23 @@ def _compiled(name: str) -> Worlds:
         return env.step(state, action)
 
     return Worlds(env, jax.jit(reset), jax.jit(step), traces)
+
+
+def compiled_person(env: Any, episode: Episode) -> mujoco.MjModel:
+    """One episode's scene in C MuJoCo, compiled from scratch."""
+    p, place = episode.person, episode.placement
+    base = Pose(tuple(map(float, place.base_pos)), tuple(map(float, place.base_quat)))  # ty: ignore
+    return compose(
+        env.task,
+        env.robot,
+        env.active,
+        float(p.sex),
+        float(p.stature),
+        float(p.girth),
+        float(p.limit_scale),
+        jax.tree.map(np.asarray, episode.pose),
+        base,
+    )
 
 
 @pytest.fixture(scope="session")

@@ -14,16 +14,14 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from conftest import BATCH, Rollout, Worlds
+from conftest import BATCH, Rollout, Worlds, compiled_person
 
 from agym_jax import kinematics
 from agym_jax.person import muscles
 from agym_jax.person.body import RIGHT_ARM_LINKS
 from agym_jax.person.draw import People, draw_person
 from agym_jax.person.pose import draw_pose
-from agym_jax.scene import compose
 from agym_jax.sense import add_touch, no_touch, sense
-from agym_jax.spec import Pose
 from agym_jax.state import Episode, Placement
 
 pytestmark = pytest.mark.parity
@@ -33,23 +31,6 @@ WATCHED = (0, 2, 4, 7)  # worlds that C MuJoCo follows
 # Float32 against float64 over one control step from the same state, in contact. Measured maxima of
 # 64 such steps: 1e-6 rad, 3e-5 rad/s and 5e-5 N at up to 2 N; ten times that is allowed.
 QPOS, QVEL, FORCE = 1e-5, 3e-4, 5e-4  # [rad], [rad/s], [N] or share of the force
-
-
-def _compiled_person(env: Any, episode: Episode) -> mujoco.MjModel:
-    """This person's scene from scratch."""
-    p, place = episode.person, episode.placement
-    base = Pose(tuple(map(float, place.base_pos)), tuple(map(float, place.base_quat)))  # ty: ignore
-    return compose(
-        env.task,
-        env.robot,
-        env.active,
-        float(p.sex),
-        float(p.stature),
-        float(p.girth),
-        float(p.limit_scale),
-        jax.tree.map(np.asarray, episode.pose),
-        base,
-    )
 
 
 def _one(tree: Any, i: int) -> Any:
@@ -93,7 +74,7 @@ def crowd(static_env) -> Episode:
 def test_fields_written_per_person_are_those_of_a_fresh_compilation(static_env, crowd: Episode):
     for i in range(5):
         episode = _one(crowd, i)
-        mine, theirs = static_env._model_of(episode), _compiled_person(static_env, episode)
+        mine, theirs = static_env._model_of(episode), compiled_person(static_env, episode)
         for name in FIELDS:
             a, b = np.asarray(getattr(mine, name)), getattr(theirs, name)
             if name.endswith("quat"):
@@ -109,7 +90,7 @@ def test_kinematics_of_different_people_are_c_mujocos(worlds: Worlds, rollout: R
     state = rollout.last
     assert 0 < np.sum(np.asarray(state.episode.person.sex)) < BATCH
     for i in range(BATCH):
-        model = _compiled_person(worlds.env, _one(state.episode, i))
+        model = compiled_person(worlds.env, _one(state.episode, i))
         c = mujoco.MjData(model)
         c.qpos[:] = np.asarray(state.data.qpos[i])
         mujoco.mj_kinematics(model, c)
@@ -165,7 +146,7 @@ class _Shadow:
 
     def __init__(self, env: Any, episode: Episode):
         self.env, self.index = env, env.scene.index
-        self.model = _compiled_person(env, episode)
+        self.model = compiled_person(env, episode)
         mine = env._model_of(episode)
         # the motors' damping belongs to the episode; invweights are interpolated on purpose
         for name in ("dof_damping", "body_invweight0", "dof_invweight0"):

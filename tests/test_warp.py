@@ -1,10 +1,12 @@
-"""Both implementations of MJX mean the same. Needs warp-lang, which runs on the CPU too (slowly)."""
+"""Both implementations of MJX mean the same. MuJoCo Warp runs on the CPU too, slowly."""
 
 # ruff: noqa: D103
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
+from conftest import compiled_person
 
 import agym_jax
 from agym_jax.wrappers import vectorize
@@ -27,10 +29,65 @@ def rollout(impl: str, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_warp_and_jax_give_the_same_trajectory():
-    pytest.importorskip("warp", reason="warp-lang is an extra: pip install 'agym_jax[warp]'")
     obs, reward, overflow = rollout("warp", 10)
     obs_jax, reward_jax, _ = rollout("jax", 10)
     # both integrate in float32; free motion agrees far better than contact would
     np.testing.assert_allclose(obs, obs_jax, atol=2e-3)
     np.testing.assert_allclose(reward, reward_jax, atol=2e-3)
     assert not overflow.any()
+
+
+def test_each_world_of_warp_touches_its_own_person():
+    """Limbs that no joint moves: MuJoCo Warp places them once for all worlds if it is let."""
+    worlds = vectorize(agym_jax.make("BedBathingJaco-v0", impl="warp"), N)
+    env, index = worlds.env, worlds.env.scene.index
+    state = jax.jit(worlds.reset)(jax.random.PRNGKey(0))
+    step, restart = jax.jit(worlds.step), jax.jit(jax.vmap(env.restart))
+    state = restart(state, jnp.arange(N) % 2 == 0)  # half of them are somebody new
+    assert 0 < np.sum(np.asarray(state.episode.person.sex)) < N
+    models = [compiled_person(env, jax.tree.map(lambda x: x[i], state.episode)) for i in range(N)]
+    reach = np.array([[0.3, -0.3, 0.3, 0.0, 0.3, 0.3, 0.0]] * N, np.float32)
+    state = step(state, reach)
+    for i, model in enumerate(models):
+        c = mujoco.MjData(model)
+        c.qpos[:] = np.asarray(state.data.qpos[i])
+        mujoco.mj_kinematics(model, c)
+        for name in ("geom_xpos", "geom_xmat"):
+            mine = np.asarray(getattr(state.data, name)[i]).reshape(-1)
+            np.testing.assert_allclose(mine, getattr(c, name).reshape(-1), atol=1e-5, err_msg=name)
+    # a hand inside the chest is pushed by this person's chest, as in C MuJoCo
+    press = _deepest_press(env, models)
+    data = state.data.replace(qpos=jnp.asarray(press), qvel=jnp.zeros_like(state.data.qvel))
+    after = step(state.replace(data=data), np.zeros((N, 7), np.float32))
+    for i, model in enumerate(models):
+        c = mujoco.MjData(model)
+        c.qpos[:] = press[i]
+        c.ctrl[index.robot_ctrl] = press[i][index.robot_qpos]
+        force = 0.0
+        for _ in range(env.task.control.frame_skip):
+            mujoco.mj_step(model, c)
+            force += np.abs(c.sensordata[index.robot_person]).sum()
+            force += sum(np.abs(c.sensordata[t.on_person]).sum() for t in index.tools)
+        assert force > 1.0
+        mine = float(after.metrics["force/on_person"][i])
+        np.testing.assert_allclose(mine, force / env.task.control.frame_skip, rtol=2e-3)
+        np.testing.assert_allclose(after.data.qpos[i], c.qpos, atol=1e-4)
+
+
+def _deepest_press(env, models) -> np.ndarray:
+    """For each person a pose of the robot (n_q,) that presses 1 to 8 mm into a limb."""
+    index, rng = env.scene.index, np.random.default_rng(0)
+    low, high = env.scene.model.jnt_range[index.robot_joint].T
+    poses = []
+    for model in models:
+        c = mujoco.MjData(model)
+        limbs = set(index.person_geom.tolist())
+        while True:
+            c.qpos[:] = rng.uniform(np.maximum(low, -3.1), np.minimum(high, 3.1))
+            mujoco.mj_forward(model, c)
+            pairs = zip(c.contact.geom, c.contact.dist, strict=True)
+            depths = [-d for g, d in pairs if limbs & set(g.tolist())]
+            if depths and len(depths) == c.ncon and 1e-3 < max(depths) < 8e-3:
+                poses.append(c.qpos.copy())
+                break
+    return np.stack(poses).astype(np.float32)

@@ -1,0 +1,170 @@
+"""An arm and a scripted hand that pulls the gown onto it, for tests and for the study of many pulls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from agym_jax.matter.cloth import Cloth, Solids, Touch, anchor_positions, initial, step
+from agym_jax.matter.garment import Garment
+from agym_jax.matter.shapes import Capsules, no_capsules
+from agym_jax.matter.sleeve import Arm, crossed, dressed, progress, watched_vertices, worn
+from agym_jax.matter.weave import ClothSpec
+
+DT = 0.01
+NOTHING = Solids.of(no_capsules())
+ABOVE = 0.055
+"""Height of the gripper above the arm's axis while it pulls [m]."""
+
+
+def sheet(width: float, height: float, edge: float, anchors: str = "top") -> Garment:
+    """A flat cloth in the xz-plane; its cuff is its whole boundary.
+
+    Args:
+        width: along x [m].
+        height: along z, downwards [m].
+        edge: length of edges [m].
+        anchors: held vertices: "top" row, "ends" of a strip (first and last column), or "corner".
+    """
+    c, r = round(width / edge) + 1, round(height / edge) + 1
+    ids = np.arange(c * r).reshape(r, c)
+    x, z = np.meshgrid(np.arange(c) * edge, -np.arange(r) * edge)
+    a, b, d, e = ids[:-1, :-1], ids[:-1, 1:], ids[1:, :-1], ids[1:, 1:]
+    held = {"top": ids[0], "ends": np.concatenate([ids[:, 0], ids[:, -1]]), "corner": ids[:1, 0]}
+    return Garment(
+        name="sheet",
+        vertices=np.stack([x.ravel(), 0.0 * x.ravel(), z.ravel()], -1),
+        triangles=np.concatenate(
+            [np.stack([a, b, e], -1).reshape(-1, 3), np.stack([a, e, d], -1).reshape(-1, 3)]
+        ),
+        cuff=np.concatenate([ids[0], ids[1:, -1], ids[-1, -2::-1], ids[-2:0:-1, 0]]),
+        anchors=held[anchors],
+    )
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Pull:
+    """One scripted pull; what varies between pulls."""
+
+    size: Array  # of AG's man                                              ()
+    girth: Array  # of AG's man                                             ()
+    miss_w: Array  # how far the hand's path lies off [m]                   (3,)
+    speed: Array  # [m/s]                                                   ()
+    bend: Array  # angle of the elbow; pi/2 in AG's Dressing [rad]          ()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Outcome:
+    """What a pull came to."""
+
+    progress: Array  # ()
+    dressed: Array  # AG's r_dress at the end [m]                           ()
+    best: Array  # the best of it [m]                                       ()
+    through: Array  # most triangles that the arm's axis went through       () int32
+    deepest: Array  # most that a vertex sank into the arm's surface [m]    ()
+    force: Array  # greatest sum of force sizes on the arm [N]              ()
+    broken: Array  # () bool
+
+
+def draw_pull(key: Array) -> Pull:
+    """A pull over the range of people: AG's woman is 0.91 long and 0.82 thick."""
+    low = jnp.array([0.85, 0.75, -0.02, -0.02, -0.01, 0.1, 0.6])
+    high = jnp.array([1.1, 1.0, 0.02, 0.02, 0.02, 0.3, 1.6])
+    x = jax.random.uniform(key, (7,), minval=low, maxval=high)
+    return Pull(size=x[0], girth=x[1], miss_w=x[2:5], speed=x[5], bend=x[6])
+
+
+def arm_of(pull: Pull) -> tuple[Arm, Capsules]:
+    """The arm, its elbow at the origin and its forearm along -y, and its capsules: AG's man, scaled."""
+    radius = 0.043 * pull.girth
+    elbow = jnp.zeros(3)
+    wrist = jnp.array([0.0, -0.29, 0.0]) * pull.size
+    upper = jnp.stack([-jnp.sin(pull.bend), jnp.cos(pull.bend), 0.0])
+    shoulder = 0.279 * pull.size * upper
+    arm = Arm(shoulder, elbow, wrist, radius)
+    hand = wrist + jnp.array([0.0, -1.0, 0.0]) * radius
+    a = jnp.stack([shoulder, elbow, hand, elbow])
+    b = jnp.stack([elbow, wrist, hand, elbow])
+    radii = jnp.array([0.043, 0.033, 0.043, 0.043]) * pull.girth
+    return arm, Capsules(a, b, radii)
+
+
+def path_of(pull: Pull, arm: Arm, n: int) -> tuple[Array, Array]:
+    """Where the hand is at n moments, and the yaw it has, (n, 3) and (n,): from before the hand to the shoulder."""
+    way = jnp.array([0.0, 1.0, 0.0])
+    upper = (arm.shoulder_w - arm.elbow_w) / arm.upper_length
+    corners = jnp.stack([arm.hand_end_w - 0.08 * way, arm.elbow_w, arm.elbow_w + 0.9 * arm.upper_length * upper])
+    lengths = jnp.linalg.norm(jnp.diff(corners, axis=0), axis=1)
+    done = jnp.maximum(jnp.arange(n) * DT - 1.0, 0.0) * pull.speed  # the first second: settling
+    share = jnp.clip(done[:, None] / jnp.cumsum(lengths), 0.0, 1.0)
+    first = jnp.clip(done / lengths[0], 0.0, 1.0)[:, None]
+    second = jnp.clip((done - lengths[0]) / lengths[1], 0.0, 1.0)[:, None]
+    pos = corners[0] + first * (corners[1] - corners[0]) + second * (corners[2] - corners[1])
+    del share
+    turning = jnp.clip((done - lengths[0] + 0.05) / 0.1, 0.0, 1.0)
+    return pos + pull.miss_w + jnp.array([0.0, 0.0, ABOVE]), turning * pull.bend
+
+
+def yawed(angle: Array) -> Array:
+    """Rotation about z (3, 3)."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return jnp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def pull_on(spec: ClothSpec, pull: Pull, n: int) -> tuple[Outcome, Cloth, Touch, Array]:
+    """Pull the gown onto the arm in n physics steps: outcome, cloth and touch at the end, and all positions."""
+    arm, capsules = arm_of(pull)
+    pos, yaw = path_of(pull, arm, n + 1)
+    solids = Solids.of(capsules)
+    watched = watched_vertices(spec.garment)
+    triangles = spec.garment.triangles
+    axis = jnp.stack([arm.shoulder_w, arm.elbow_w, arm.wrist_w + 0.0 * pull.miss_w, arm.hand_end_w])
+    hand = capsules.a_w[2]
+    axis = axis.at[3].set(hand)
+
+    def one(carry: tuple, now: tuple) -> tuple[tuple, Array]:
+        cloth, latched, out = carry
+        before, yaw_before, after, yaw_after = now
+        cloth, touch = step(
+            spec, cloth, solids, solids,
+            anchor_positions(spec, before, yawed(yaw_before)), anchor_positions(spec, after, yawed(yaw_after)), DT,
+        )  # fmt: skip
+        points = cloth.pos_w[watched]
+        latched = worn(points, arm).latch(latched)
+        corners = cloth.pos_w[triangles]
+        through = sum(crossed(axis[i], axis[i + 1], corners).sum() for i in range(3))
+        off = _depth(cloth.pos_w, capsules, spec)
+        reached = dressed(points, arm, latched)
+        out = replace(
+            out,
+            progress=progress(points, arm),
+            dressed=reached,
+            best=jnp.maximum(out.best, reached),
+            through=jnp.maximum(out.through, through.astype(jnp.int32)),
+            deepest=jnp.maximum(out.deepest, off),
+            force=jnp.maximum(out.force, touch.total.sum()),
+            broken=out.broken | touch.broken,
+        )
+        return (cloth, latched, out), (cloth.pos_w, touch)
+
+    zero = jnp.float32(0.0)
+    out = Outcome(zero, zero, jnp.float32(-9.0), jnp.int32(0), zero, zero, jnp.array(False))
+    cloth = initial(spec, pos[0], yawed(yaw[0]))
+    nothing = worn(cloth.pos_w[watched] + 99.0, arm)
+    (cloth, _, out), (seen, touch) = jax.lax.scan(
+        one, (cloth, nothing, out), (pos[:-1], yaw[:-1], pos[1:], yaw[1:])
+    )
+    return out, cloth, jax.tree.map(lambda x: x[-1], touch), seen
+
+
+def _depth(pos_w: Array, capsules: Capsules, spec: ClothSpec) -> Array:
+    """Most that a free vertex lies inside the arm's surface [m] ()."""
+    points = tuple(pos_w[:, i] for i in range(3))
+    dist = capsules.touching(points, capsules).dist.min(0)
+    return jnp.maximum(-jnp.where(jnp.asarray(spec.held < 0), dist, 1.0).min(), 0.0)

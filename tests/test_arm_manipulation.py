@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from agym_jax.observe import values
 from agym_jax.person import anthropometry
 from agym_jax.robots import ROBOTS
 from agym_jax.sense import Sensed, ToolSensed
@@ -203,8 +204,8 @@ def test_observations_of_two_arms():
         "waist": "waist", "hips": "hips",
     }  # fmt: skip
     for name, link in names.items():
-        expected.append((getattr(robot, f"{name}_pos_torso"), LINKS[link] - torso))
-        expected.append((getattr(person, f"{name}_pos_person"), LINKS[link] - chest))
+        expected.append((values(robot)[f"{name}_pos_torso"], LINKS[link] - torso))
+        expected.append((values(person)[f"{name}_pos_person"], LINKS[link] - chest))
     for found, value in expected:
         np.testing.assert_allclose(found, value, atol=1e-6)
 

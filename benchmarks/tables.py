@@ -127,20 +127,39 @@ def nan(folder: Path = RESULTS) -> str:
 
 
 def policies(folder: Path = RESULTS) -> str:
-    """What shipped policies achieve."""
+    """What shipped policies achieve: the mode's figures, and the sampled policy's success."""
+    lines = read_results("evaluation", ("env", "policy"), folder)
+    sampled = {x["env"]: x for x in lines if x["policy"] == "sampled"}
+
+    def success(x: Line) -> str:
+        return f"{x['success']:.0%} ({x['success_low']:.0%} to {x['success_high']:.0%})"
+
     columns = {
         "environment": lambda x: x["env"],
-        "policy": lambda x: Path(x["policy"]).stem if "/" in x["policy"] else x["policy"],
-        "seed": lambda x: x.get("seed", ""),
-        "episodes": lambda x: x["episodes"],
         "return": lambda x: f"{x['return_mean']:.1f} ± {x['return_std']:.1f}",
         "mean force on the person": lambda x: f"{x['force_mean']:.2f} N",
-        "success (95 % interval)": lambda x: (
-            f"{x['success']:.0%} ({x['success_low']:.0%} to {x['success_high']:.0%})"
-        ),
+        "success (95 % interval)": success,
+        "success, sampled": lambda x: success(sampled[x["env"]]) if x["env"] in sampled else "",
     }
-    lines = read_results("evaluation", ("env", "policy"), folder)
-    return table(lines, columns, lambda x: (x["env"], x.get("seed", 0), -x["success"]))
+    mode = [x for x in lines if x["policy"] == "mode"]
+    episodes = several(f"{x['episodes']:,}" for x in mode)
+    return table(mode, columns, itemgetter("env"), f"{episodes} episodes, mode of the policy;")
+
+
+def reach(folder: Path = RESULTS) -> str:
+    """How many itches a robot can touch at all."""
+    columns = {
+        "environment": lambda x: x["env"],
+        "itches that can be touched": lambda x: f"{x['reachable']:.0%}",
+        "on the quarter of the limb that faces the trunk": lambda x: f"{x['reachable_inner']:.0%}",
+    }
+    lines = read_results("reach", ("env",), folder)
+    return table(lines, columns, itemgetter("env"))
+
+
+def _sharing(line: Line) -> str:
+    """How many trainings ran on the GPU at once, if it was more than one."""
+    return f", {line['sharing'].split()[0]} on one GPU" if "sharing" in line else ""
 
 
 def training(folder: Path = RESULTS) -> str:
@@ -151,9 +170,7 @@ def training(folder: Path = RESULTS) -> str:
         "worlds": lambda x: f"{x['num_envs']:,}",
         "steps": lambda x: f"{x['steps']:,}",
         "start": lambda x: x["start"],
-        "wall time, all in": lambda x: (
-            f"{x['wall_s']:.0f} s{', 4 on one GPU' if 'sharing' in x else ''}"
-        ),
+        "wall time, all in": lambda x: f"{x['wall_s']:.0f} s{_sharing(x)}",
         "success at the end": lambda x: f"{x['success']:.0%}",
     }
     lines = read_results("training", ("env", "impl"), folder)
@@ -165,6 +182,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "throughput": throughput,
     "policies": policies,
     "nan": nan,
+    "reach": reach,
     "cpu": cpu,
 }
 

@@ -1,6 +1,7 @@
-"""What one control step shows: the only reader of ``mjx.Data``.
+"""What one control step shows: the only reader of a simulator's data.
 
-Works on one world of ``mjx.Data`` and, because the field names are the same, on C ``MjData``.
+Works on one world of ``mjx.Data`` and, because the field names are the same, of ``native.NativeData``
+or C ``MjData``.
 Forces are normal forces of contact sensors, averaged over the physics steps of a control step.
 
 DEVIATION(force-mean): contact forces are means over the physics steps of a control step, not
@@ -14,6 +15,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from agym_jax.geometry import capsule_gap
@@ -114,20 +116,30 @@ def add_touch(index: Index, touch: Touch, sensordata: Array) -> Touch:
         touch: the sum so far.
         sensordata: of ``Data`` (nsensordata,).
     """
+    return jax.tree.map(jnp.add, touch, read_touch(index, sensordata))
 
-    def add(tool: ToolIndex, t: ToolTouch) -> ToolTouch:
-        force = jnp.abs(sensordata[tool.on_person])
-        pos = sensordata[tool.on_person[:, None] + jnp.arange(3, 6)]
-        return ToolTouch(
-            force=t.force + force,
-            moment=t.moment + force[:, None] * pos,
-            seat=t.seat + jnp.sum(jnp.abs(sensordata[tool.on_seat])),
-        )
 
-    return Touch(
-        tools=tuple(add(i, t) for i, t in zip(index.tools, touch.tools, strict=True)),
-        robot_person=touch.robot_person + jnp.sum(jnp.abs(sensordata[index.robot_person])),
-    )
+def read_touch(index: Index, sensordata: Any, xp: Any = jnp) -> Touch:
+    """The contact sensors of one physics step.
+
+    Args:
+        index: sensor addresses.
+        sensordata: of ``Data`` (..., nsensordata).
+        xp: numpy or jax.numpy.
+
+    Returns:
+        The fields of ``Touch``, each with the leading axes of ``sensordata``.
+    """
+
+    def total(sensors: np.ndarray) -> Any:
+        return xp.sum(xp.abs(sensordata[..., sensors]), axis=-1)
+
+    def read(tool: ToolIndex) -> ToolTouch:
+        force = xp.abs(sensordata[..., tool.on_person])
+        pos = sensordata[..., tool.on_person[:, None] + np.arange(3, 6)]
+        return ToolTouch(force=force, moment=force[..., None] * pos, seat=total(tool.on_seat))
+
+    return Touch(tuple(read(tool) for tool in index.tools), total(index.robot_person))
 
 
 def sense(index: Index, data: Any, touch: Touch, n_steps: int, dims: Dims, sizes: Any) -> Sensed:

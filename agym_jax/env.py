@@ -30,8 +30,8 @@ from agym_jax.person import draw
 from agym_jax.physics import build_physics, check_traceable, choose_impl
 from agym_jax.placement import load_bank
 from agym_jax.scene import build_scene, compose
-from agym_jax.sense import Sensed, Touch, no_touch, sense
-from agym_jax.spec import Pose, RobotSpec, Task
+from agym_jax.sense import Motion, Sensed, Touch, at_rest, no_touch, sense
+from agym_jax.spec import Furnished, Pose, RobotSpec, Task
 from agym_jax.state import Episode, State, select, strong
 
 
@@ -161,9 +161,9 @@ class AssistiveEnv:
         # control
         orders = self._order(state.episode, state.data.qpos, action)
         # physics
-        data, touch = self.physics.simulate(state.data, state.episode, orders)
+        data, touch, motion = self.physics.simulate(state.data, state.episode, orders)
         # sense -> task -> observe
-        judged = self._judge(data, touch, state.task, state.episode, orders)
+        judged = self._judge(data, touch, motion, state.task, state.episode, orders)
         return state.replace(
             data=data,
             obs=judged.obs,
@@ -207,7 +207,9 @@ class AssistiveEnv:
 
     def _first_look(self, key: Array, data: Any, episode: Episode) -> tuple[Any, Array, dict]:
         """The task as it begins, what is seen of it, and metrics of nothing."""
-        sensed = self._sense(data, no_touch(self.scene.index), 1, episode)
+        index = self.scene.index
+        still = at_rest(index, data, self.task.control.frame_skip)
+        sensed = self._sense(data, no_touch(index), still, episode)
         task = self.task.init(key, sensed)
         _, events = self.task.advance(task, sensed)
         terms = self.task.rewards(task, events, sensed, jnp.zeros(self.action_size))
@@ -216,10 +218,10 @@ class AssistiveEnv:
         return strong((task, self._observe(task, sensed), metrics))
 
     def _judgement(
-        self, data: Any, touch: Touch, task: Any, episode: Episode, orders: Orders
+        self, data: Any, touch: Touch, motion: Motion, task: Any, episode: Episode, orders: Orders
     ) -> _Judged:
         """Sense -> task -> observe, and the guard against NaN."""
-        sensed = self._sense(data, touch, self.task.control.frame_skip, episode)
+        sensed = self._sense(data, touch, motion, episode)
         task, events = self.task.advance(task, sensed)
         rewards = self.task.rewards(task, events, sensed, orders.action)
         obs = self._observe(task, sensed)
@@ -239,9 +241,9 @@ class AssistiveEnv:
         )
         return strong(judged)
 
-    def _sense(self, data: Any, touch: Touch, n_steps: int, episode: Episode) -> Sensed:
+    def _sense(self, data: Any, touch: Touch, motion: Motion, episode: Episode) -> Sensed:
         sizes = geom_sizes(self.scene, episode)
-        return sense(self.scene.index, data, touch, n_steps, episode.person.dims, sizes)
+        return sense(self.scene.index, data, touch, motion, episode.person.dims, sizes)
 
     def _observe(self, task: Any, sensed: Sensed) -> Array:
         robot, person = self.task.observe(task, sensed)
@@ -290,6 +292,9 @@ class AssistiveEnv:
             self.task, self.robot, self.active, float(p.sex), float(p.stature), float(p.girth),
             float(p.limit_scale), pose, base, visual=True,
         )  # fmt: skip
+        if isinstance(self.task, Furnished):
+            for name, pos in self.task.props(state.task).items():
+                model.body(f"seat/{name}/{name}").pos = np.asarray(pos)
         data = mujoco.MjData(model)
         self.write_mujoco(state, data, model)
         return model, data

@@ -16,7 +16,7 @@ from agym_jax.control import Driver, Orders
 from agym_jax.episode import model_fields, start_qpos
 from agym_jax.mjx_patch import apply, mjx
 from agym_jax.scene import Scene
-from agym_jax.sense import Touch, add_touch, no_touch
+from agym_jax.sense import Motion, Touch, add_touch, moment, no_touch
 from agym_jax.state import Episode, strong
 
 apply()
@@ -74,24 +74,29 @@ class MjxPhysics:
             place_static_geoms(self._static, model, data) if self.impl == "warp" else data
         )
 
-    def simulate(self, data: mjx.Data, episode: Episode, orders: Orders) -> tuple[mjx.Data, Touch]:
+    def simulate(
+        self, data: mjx.Data, episode: Episode, orders: Orders
+    ) -> tuple[mjx.Data, Touch, Motion]:
         """One control step."""
         index, model = self.scene.index, self.model_of(episode)
         muscles = self.driver.muscles(episode.person)
         data = data.replace(ctrl=data.ctrl.at[index.robot_ctrl].set(orders.goal))
 
-        def substep(carry: tuple[mjx.Data, Touch], _: None) -> tuple[tuple, None]:
+        def substep(carry: tuple[mjx.Data, Touch], _: None) -> tuple[tuple, Motion]:
             data, touch = carry
             q, v = data.qpos[index.person_qpos], data.qvel[index.person_dof]
             pull = muscles.torque(orders.target, q, data.qfrc_bias[index.person_dof])
             torque = pull + self.driver.limit_torque(q, v)
             data = data.replace(qfrc_applied=data.qfrc_applied.at[index.person_dof].set(torque))
             data = mjx.step(model, data)
-            return (data, add_touch(index, touch, data.sensordata)), None
+            # what a step leaves behind is where things were as it began
+            return (data, add_touch(index, touch, data.sensordata)), moment(index, data)
 
         start = (data, no_touch(index))
-        (data, touch), _ = jax.lax.scan(substep, start, length=self.frame_skip)
-        return strong(mjx.kinematics(model, data)), touch
+        (data, touch), moments = jax.lax.scan(substep, start, length=self.frame_skip)
+        data = mjx.kinematics(model, data)
+        end = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), moments, moment(index, data))
+        return strong(data), touch, end
 
     def overflow(self, data: mjx.Data) -> Array:
         """1.0 where Warp's buffers lost a contact or a constraint row ()."""

@@ -24,7 +24,7 @@ from agym_jax.control import Driver, Orders
 from agym_jax.episode import model_fields
 from agym_jax.person.muscles import Muscles
 from agym_jax.scene import Scene
-from agym_jax.sense import Touch, no_touch, read_touch
+from agym_jax.sense import Motion, Touch, at_rest, moment, no_touch, read_touch
 from agym_jax.state import Episode
 
 Layout = tuple[tuple[str, int, int, tuple[int, ...]], ...]
@@ -139,23 +139,33 @@ class NativePhysics:
 
     def simulate(
         self, data: NativeData, episode: Episode, orders: Orders
-    ) -> tuple[NativeData, Touch]:
+    ) -> tuple[NativeData, Touch, Motion]:
         """One control step. The ``qpos`` of a world that goes non-finite are NaN."""
         index, sensors = self.scene.index, []
         target = np.asarray(orders.target)
         with self._lock:
             d = self._load(data, episode)
             d.ctrl[index.robot_ctrl] = orders.goal
+            moments = []
             for _ in range(self.frame_skip):
                 if not _is_sound(d):
                     break
                 d.qfrc_applied[index.person_dof] = self._torque(d, target)
                 mujoco.mj_step(self.model, d)
                 sensors.append(d.sensordata.copy())
+                moments.append(moment(index, d, np))
             if not _is_sound(d):
-                return data.replace(qpos=np.nan), no_touch(index)  # the guard against NaN sees it
+                still = at_rest(index, data, self.frame_skip)
+                return (
+                    data.replace(qpos=np.nan),
+                    no_touch(index),
+                    still,
+                )  # the guard against NaN sees it
             mujoco.mj_kinematics(self.model, d)
-            return NativeData.of(d, self._layout), _sum(read_touch(index, np.stack(sensors), np))
+            moments.append(moment(index, d, np))
+            motion = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *moments)
+            touch = _sum(read_touch(index, np.stack(sensors), np))
+            return NativeData.of(d, self._layout), touch, motion
 
     def _torque(self, d: mujoco.MjData, target: np.ndarray) -> np.ndarray:
         """Of muscles and pose-dependent limits on the person's joints [N m] (n_person,)."""

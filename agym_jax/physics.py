@@ -15,7 +15,7 @@ from jax import Array
 from agym_jax.control import Driver, Orders
 from agym_jax.errors import ImplementationError, did_you_mean
 from agym_jax.scene import Scene
-from agym_jax.sense import Touch
+from agym_jax.sense import Motion, Touch
 from agym_jax.state import Episode
 
 IMPLEMENTATIONS = ("auto", "jax", "warp", "native")
@@ -41,7 +41,7 @@ class Physics(Protocol):
         """
         ...
 
-    def simulate(self, data: Any, episode: Episode, orders: Orders) -> tuple[Any, Touch]:
+    def simulate(self, data: Any, episode: Episode, orders: Orders) -> tuple[Any, Touch, Motion]:
         """One control step; kinematics of the result are up to date.
 
         Args:
@@ -50,7 +50,8 @@ class Physics(Protocol):
             orders: to the joints, the same throughout the control step.
 
         Returns:
-            Data after the control step, and sums of the contact sensors over its physics steps.
+            Data after the control step, sums of the contact sensors over its physics steps, and the
+            way that tool and person went.
         """
         ...
 

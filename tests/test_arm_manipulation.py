@@ -56,6 +56,7 @@ def sensed(*tools: dict[str, Any], links: dict[str, Any] | None = None, **change
         link_pos_w=changed(LINKS, links or {}),
         link_rot_w={k: jnp.eye(3) for k in LINKS},
         link_quat_w={k: jnp.array([1.0, 0, 0, 0]) for k in LINKS},
+        motion=None,
         dims=anthropometry.dims(0.0),
         **changed(REST, changes),
     )

@@ -55,6 +55,7 @@ def sensed(
         link_pos_w=changed(LINKS, links or {}),
         link_rot_w=changed(ROTS, turns or {}),
         link_quat_w={k: jnp.array([1.0, 0, 0, 0]) for k in LINKS},
+        motion=None,
         dims=jax.tree.map(jnp.float32, anthropometry.dims(sex)),
         **changed(REST, changes),
     )

@@ -21,7 +21,7 @@ from agym_jax.episode import person_rows
 from agym_jax.person.body import RIGHT_ARM_LINKS
 from agym_jax.person.draw import People, draw_person
 from agym_jax.person.pose import draw_pose
-from agym_jax.sense import add_touch, no_touch, sense
+from agym_jax.sense import add_touch, at_rest, no_touch, sense
 from agym_jax.state import Episode, Placement
 
 pytestmark = pytest.mark.parity
@@ -227,7 +227,10 @@ def test_sense_reads_c_mujocos_data_as_it_reads_mjxs(worlds: Worlds):
     dims = world.episode.person.dims
     data = world.data.replace(qvel=jnp.full_like(world.data.qvel, 0.1))
     sizes = shadow.model.geom_size
-    mine, theirs = (sense(index, d, no_touch(index), 1, dims, sizes) for d in (data, shadow.data))
+    mine, theirs = (
+        sense(index, d, no_touch(index), at_rest(index, d, 1), dims, sizes)
+        for d in (data, shadow.data)
+    )
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), mine, theirs)
     # the tip's velocity is the Jacobian's
     linear = np.zeros((3, shadow.model.nv))

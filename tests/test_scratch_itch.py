@@ -57,6 +57,7 @@ def sensed(
         link_pos_w=changed(LINKS, links or {}),
         link_rot_w=changed(rot, turns or {}),
         link_quat_w=changed(quat, {}),
+        motion=None,
         dims=MAN,
         **changed(rest, changes),
     )

@@ -1,6 +1,6 @@
 """Watch a policy: ``python -m train.enjoy --env-name ScratchItchJaco-v0 --clip scratch.gif``.
 
-One world on the CPU; the seed decides the episodes. Writes a film, a sheet of pictures, or opens
+One world on the CPU, with C MuJoCo's physics; the seed decides the episodes. Writes a film, a sheet of pictures, or opens
 MuJoCo's viewer, and prints each episode's return, force and success.
 """
 
@@ -20,7 +20,7 @@ import tyro
 
 from agym_jax.errors import AgymError
 from train.configs import Count
-from train.envs import make_env
+from train.envs import make_env, programs
 from train.errors import ConfigError
 from train.evaluate import BASELINES, AnyPolicy, baseline_policy
 from train.npz import check_writable
@@ -48,6 +48,8 @@ class EnjoyConfig:
     """Sample actions instead of taking the mode."""
     any_env: bool = False
     """Accept a policy of another environment with the same observation layout."""
+    impl: str = "native"
+    """Physics: "native" (C MuJoCo, quick to start) or "jax" (MJX, as in training)."""
     clip: Path | None = None
     """Film to write, .gif or .mp4."""
     sheet: Path | None = None
@@ -90,12 +92,8 @@ class Player:
 
     def __init__(self, env: Any, policy: AnyPolicy, deterministic: bool = True) -> None:
         self.env = env
-        self._reset = jax.jit(env.reset)
-
-        def step(state: Any, key: jax.Array) -> Any:
-            return env.step(state, policy(state.obs, key, deterministic))
-
-        self._step = jax.jit(step)
+        self._reset, self._step = programs(env)
+        self._act = jax.jit(lambda obs, key: policy(obs, key, deterministic))
 
     def episode(self, seed: int) -> Iterator[Frame]:
         """The frames of the episode that belongs to a seed, the start included."""
@@ -105,7 +103,7 @@ class Player:
         yield Frame(state, 0, total, 0.0, False, False)
         keys = jax.random.split(key, self.env.episode_length)
         for step in range(1, self.env.episode_length + 1):
-            state = self._step(state, keys[step - 1])
+            state = self._step(state, self._act(state.obs, keys[step - 1]))
             total += float(state.reward)
             force = float(state.metrics.get(FORCE_KEY, 0.0))
             success = bool(state.metrics.get("success", 0.0) > 0.5)
@@ -230,7 +228,7 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
         path = None
         if config.policy not in BASELINES:
             path = find_policy(config.env_name.rpartition(":")[2], config.load_dir, config.policy)
-        env = make(config.env_name, "jax")
+        env = make(config.env_name, config.impl)
         if path is None:
             policy = baseline_policy(str(config.policy), env.action_size)
         else:

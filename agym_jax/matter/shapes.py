@@ -9,7 +9,7 @@ processor. Between k solids and n points arrays are (k, n).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -86,15 +86,14 @@ class Boxes:
         rot, half = rotation(self.quat_w[:, None]), columns(self.half[:, None])
         rot = jnp.moveaxis(rot, (-2, -1), (0, 1))
         local = turn_back(rot, sub(points_w, columns(self.pos_w[:, None])))
-        excess = tuple(jnp.abs(x) - h for x, h in zip(local, half, strict=True))
-        outside = tuple(jnp.maximum(e, 0.0) for e in excess)
-        gap, deepest = length(outside), jnp.maximum(jnp.maximum(*excess[:2]), excess[2])
-        face = tuple((e == deepest).astype(gap.dtype) for e in excess)
+        excess = each(lambda x, h: jnp.abs(x) - h, local, half)
+        outside = each(lambda e: jnp.maximum(e, 0.0), excess)
+        deepest = jnp.maximum(jnp.maximum(excess[0], excess[1]), excess[2])
+        gap, is_out = length(outside), deepest > 0
+        face = each(lambda e: (e == deepest).astype(gap.dtype), excess)
         face = scale(1.0 / (face[0] + face[1] + face[2]), face)
-        is_out = deepest > 0
-        towards = tuple(
-            jnp.sign(x) * jnp.where(is_out, o / gap, f)
-            for x, o, f in zip(local, outside, face, strict=True)
+        towards = each(
+            lambda x, o, f: jnp.sign(x) * jnp.where(is_out, o / gap, f), local, outside, face
         )
         still = jnp.zeros_like(gap)
         return Touching(
@@ -138,6 +137,12 @@ def columns(points: Array) -> Xyz:
     return points[..., 0], points[..., 1], points[..., 2]
 
 
+def each(function: Callable[..., Array], *vectors: Xyz) -> Xyz:
+    """A function of coordinates, for x, y and z."""
+    x, y, z = zip(*vectors, strict=True)
+    return function(*x), function(*y), function(*z)
+
+
 def dot(a: Xyz, b: Xyz) -> Array:
     """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -158,16 +163,16 @@ def sub(a: Xyz, b: Xyz) -> Xyz:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def scale(factor: Array, a: Xyz) -> Xyz:
+def scale(factor: Array | float, a: Xyz) -> Xyz:
     """A multiple."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
 def turn(rot: Array, a: Xyz) -> Xyz:
     """Vectors turned by rotation matrices, whose rows and columns are the first two axes (3, 3, ...)."""
-    return dot(rot[0], a), dot(rot[1], a), dot(rot[2], a)
+    return each(lambda row: row[0] * a[0] + row[1] * a[1] + row[2] * a[2], (rot[0], rot[1], rot[2]))
 
 
 def turn_back(rot: Array, a: Xyz) -> Xyz:
     """Vectors turned by the inverses of rotation matrices (3, 3, ...)."""
-    return dot(rot[:, 0], a), dot(rot[:, 1], a), dot(rot[:, 2], a)
+    return turn(jnp.swapaxes(rot, 0, 1), a)

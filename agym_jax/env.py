@@ -29,9 +29,9 @@ from agym_jax.errors import ActionError
 from agym_jax.person import draw
 from agym_jax.physics import build_physics, check_traceable, choose_impl
 from agym_jax.placement import load_bank
-from agym_jax.scene import build_scene, compose
+from agym_jax.scene import build_scene, compose, draw_surfaces
 from agym_jax.sense import Motion, Sensed, Touch, at_rest, no_touch, sense
-from agym_jax.spec import Furnished, Pose, RobotSpec, Task
+from agym_jax.spec import Furnished, Pose, RobotSpec, Surface, Surfaced, Task
 from agym_jax.state import Episode, State, select, strong
 
 
@@ -291,6 +291,7 @@ class AssistiveEnv:
         model = compose(
             self.task, self.robot, self.active, float(p.sex), float(p.stature), float(p.girth),
             float(p.limit_scale), pose, base, visual=True,
+            surfaces=self._surfaces(state),
         )  # fmt: skip
         if isinstance(self.task, Furnished):
             for name, pos in self.task.props(state.task).items():
@@ -304,6 +305,11 @@ class AssistiveEnv:
         data.qpos[:], data.qvel[:] = np.asarray(state.data.qpos), np.asarray(state.data.qvel)
         data.ctrl[:] = np.asarray(state.data.ctrl)
         mujoco.mj_forward(model, data)
+        draw_surfaces(data, self._surfaces(state))
+
+    def _surfaces(self, state: State) -> list[Surface]:
+        """What the task draws besides points; one world's."""
+        return self.task.surfaces(state.task) if isinstance(self.task, Surfaced) else []
 
     def markers(self, state: State) -> list[Any]:
         """What the task draws into pictures: positions (3,), radii, colours; one world's."""

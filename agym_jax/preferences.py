@@ -47,3 +47,19 @@ def meal_terms(weights: Preferences, hits: jax.Array, speed: jax.Array) -> dict[
         "preference_food_hit": -weights.food_hit * hits,
         "preference_food_velocities": -weights.food_velocities * speed,
     }
+
+
+def dressing_terms(
+    weights: Preferences, hand_speed: jax.Array, cloth_force: jax.Array
+) -> dict[str, jax.Array]:
+    """Weighted preference terms of dressing, each at most 0. AG dressing.py passes no other force.
+
+    Args:
+        weights: of the terms.
+        hand_speed: of the end effector [m/s] ().
+        cloth_force: sum over the garment's contacts with the person [N] ().
+    """
+    return {
+        "preference_velocity": -weights.velocity * hand_speed,
+        "preference_dressing_force": -weights.dressing_force * cloth_force,
+    }

@@ -16,6 +16,7 @@ OPAQUE, CLEAR, HIDDEN = 0, 1, 5  # geom groups given to a private copy of the mo
 INVISIBLE_ALPHA = 0.1  # what is no more opaque than this is not drawn
 OPAQUE_ALPHA = 0.99  # what is no more opaque than this lets light through
 FAR = 1e6  # m
+CLUSTER = 24  # triangles that follow each other lie together
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Scene:
-    """One instant, ready to be shot at with rays. A row is a geom of the model, then a marker.
+    """One instant, ready to be shot at with rays. A row is a geom of the model, then a marker, then a surface.
 
     Args:
         model: private copy; bounds are current and geom groups say opaque, clear or hidden.
@@ -43,6 +44,7 @@ class Scene:
         alpha: opacity of each row, (n,) in 0..1.
         centers: marker centres, (k, 3) [m].
         radii: marker radii, (k,) [m].
+        surfaces: corners of the triangles of each flexible surface, each (t, 3, 3) [m].
     """
 
     model: mujoco.MjModel
@@ -50,6 +52,7 @@ class Scene:
     alpha: np.ndarray
     centers: np.ndarray
     radii: np.ndarray
+    surfaces: tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True)
@@ -142,8 +145,53 @@ def build_scene(
     refresh_bounds(private, data)
     centers = np.array([m.pos for m in markers], dtype=float).reshape(-1, 3)
     radii = np.array([m.radius for m in markers], dtype=float)
-    alpha = np.concatenate([alpha, [m.rgba[3] for m in markers]])
-    return Scene(private, data, alpha, centers, radii)
+    alpha = np.concatenate([alpha, [m.rgba[3] for m in markers], model.flex_rgba[:, 3]])
+    return Scene(private, data, alpha, centers, radii, surface_triangles(model, data))
+
+
+def surface_triangles(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, ...]:
+    """Corners of the triangles of each flexible surface, where they are now, each (t, 3, 3) [m]."""
+    found = []
+    for i in range(model.nflex):
+        start, count = model.flex_elemdataadr[i], model.flex_elemnum[i]
+        elements = model.flex_elem[start : start + 3 * count].reshape(-1, 3)
+        found.append(data.flexvert_xpos[model.flex_vertadr[i] + elements])
+    return tuple(found)
+
+
+def meet_triangles(
+    corners: np.ndarray, origin: np.ndarray, rays: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """First triangle on each ray, from either side.
+
+    Args:
+        corners: (t, 3, 3) [m].
+        origin: where all rays begin, (3,) [m].
+        rays: unit directions, (n, 3).
+
+    Returns:
+        distance, FAR where nothing was met (n,) [m], and unit normal (n, 3).
+    """
+    dist, normal = np.full(len(rays), FAR), np.zeros((len(rays), 3))
+    for some in np.array_split(corners - origin, 1 + len(corners) // CLUSTER):
+        a, b, c = np.moveaxis(some, 1, 0)
+        towards = np.concatenate([a, b, c])
+        towards /= np.maximum(lengths(towards), 1e-12)[:, None]
+        middle = towards.mean(0) / max(np.linalg.norm(towards.mean(0)), 1e-12)
+        cone = (towards @ middle).min() - 1e-6
+        near = np.flatnonzero(rays @ middle >= cone)
+        across = np.cross(b - a, c - a)
+        across /= np.maximum(lengths(across), 1e-12)[:, None]
+        turns = np.stack([rays[near] @ np.cross(u, v).T for u, v in ((a, b), (b, c), (c, a))])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = np.einsum("ij,ij->i", across, a) / (rays[near] @ across.T)
+        inside = (turns > 0).all(0) | (turns < 0).all(0)
+        far = np.where(inside & (far > 0), far, FAR)
+        first = far.argmin(1)
+        far = far[np.arange(len(near)), first]
+        closer = far < dist[near]
+        dist[near[closer]], normal[near[closer]] = far[closer], across[first[closer]]
+    return dist, normal
 
 
 def trace(scene: Scene, origin: np.ndarray, rays: np.ndarray, clear: bool) -> Hits:
@@ -178,6 +226,12 @@ def trace(scene: Scene, origin: np.ndarray, rays: np.ndarray, clear: bool) -> Hi
         closer = (near > 0) & (near < dist)
         what[closer], dist[closer] = row, near[closer]
         normal[closer] = (rays[closer] * near[closer, None] - to) / radius
+    for row, corners in enumerate(scene.surfaces, first + len(scene.radii)):
+        if scene.alpha[row] <= unseen:
+            continue
+        near, facing = meet_triangles(corners, origin, rays)
+        closer = near < dist
+        what[closer], dist[closer], normal[closer] = row, near[closer], facing[closer]
     away = np.einsum("ij,ij->i", normal, rays) > 0
     normal[away] *= -1
     return Hits(what, dist, normal)

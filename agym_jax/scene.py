@@ -13,6 +13,7 @@ DEVIATION(hard-limits): human joint limits are MuJoCo's limit constraints; AG re
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -27,7 +28,7 @@ from agym_jax.index import Index, ToolIndex
 from agym_jax.person import anthropometry, body
 from agym_jax.person import pose as person_pose
 from agym_jax.person.model import build as build_person
-from agym_jax.spec import Arm, Pose, RobotSpec, Task, ToolSpec, Vec3
+from agym_jax.spec import Arm, Pose, RobotSpec, Surface, Task, ToolSpec, Vec3
 from agym_jax.validate import check_robot, check_seat, check_task, check_tool
 
 ITERATIONS, LS_ITERATIONS = 4, 8
@@ -39,6 +40,7 @@ SKIN_SOLREF = (0.04, 1.0)
 SKIN_SOLIMP = (0.7, 0.95, 0.01, 0.5, 2.0)
 """Soft skin: the constraint's time constant is two physics steps, the shortest that is stable."""
 FRICTION = 0.5  # AG: lateral friction of person, tool and furniture
+SURFACE_RADIUS = 0.002  # half thickness of what is drawn [m]
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ def compose(
     base: Pose | None = None,
     visual: bool = False,
     solid: bool = False,
+    surfaces: Sequence[Surface] = (),
 ) -> mujoco.MjModel:
     """Compile one person's scene.
 
@@ -98,6 +101,7 @@ def compose(
         base: the robot's, if not the one fixed to the seat.
         visual: with lights, cameras, floor and the geoms that people look at.
         solid: with every collision geom and link, not only those that may touch in physics.
+        surfaces: meshes to draw; ``draw_surfaces`` moves their vertices.
 
     Raises:
         SpecError: robot, tool, seat or task do not fit together, see ``validate``.
@@ -139,6 +143,8 @@ def compose(
     everything = visual or solid
     links = tuple(x.name for x in body.LINKS) if everything else lean_links(task, moving)
     _attach(spec, build_person(rows, moving, d, links, visual), Pose(), "person/")
+    for i, surface in enumerate(surfaces):
+        _add_surface(spec, f"surface_{i}", surface)
     _add_motors(spec, task, arms)
     _add_contacts(spec, task, contact_pairs(task, arms, moving))
     if not everything:
@@ -152,6 +158,22 @@ def lean_links(task: Task, moving: tuple[str, ...]) -> tuple[str, ...]:
     limbs = {"chest", *task.person.limbs, *task.person.links, *goals}
     limbs |= {f"{task.person.arm}_{x}" for x in ("upper_arm", "forearm", "hand")}
     return tuple(x.name for x in body.LINKS if body.is_free(x, moving) or x.name in limbs)
+
+
+def _add_surface(spec: mujoco.MjSpec, name: str, surface: Surface) -> None:
+    """A mesh that takes no part in physics: MuJoCo's flexible surface, all vertices fixed in the world."""
+    flex = spec.add_flex()
+    flex.name, flex.dim, flex.radius, flex.rgba = name, 2, SURFACE_RADIUS, surface.rgba
+    flex.vert = np.asarray(surface.vertices, float).ravel().tolist()
+    flex.elem = np.asarray(surface.triangles).ravel().tolist()
+    flex.vertbody = ["world"]
+    flex.contype = flex.conaffinity = 0
+
+
+def draw_surfaces(data: mujoco.MjData, surfaces: Sequence[Surface]) -> None:
+    """Move the vertices of ``compose``'s surfaces; kinematics of the model would put them back."""
+    if surfaces:
+        data.flexvert_xpos[:] = np.concatenate([np.asarray(s.vertices) for s in surfaces])
 
 
 def _make_lean(spec: mujoco.MjSpec, robot_root: str, links: tuple[str, ...]) -> None:

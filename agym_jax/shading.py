@@ -24,7 +24,7 @@ CHECKER_CELL, CHECKER_CONTRAST = 0.5, 0.045  # m, part of the floor's brightness
 
 @dataclass(frozen=True)
 class Stage:
-    """A scene and how it looks: one row for each geom of the model, then one for each marker.
+    """A scene and how it looks: one row for each geom of the model, then for each marker and each surface.
 
     Args:
         scene: the geometry.
@@ -57,7 +57,7 @@ def set_stage(
     Returns:
         The stage of this instant.
     """
-    n = model.ngeom + len(markers)
+    n = model.ngeom + len(markers) + model.nflex
     rgba, gloss, planes = np.zeros((n, 4)), np.tile([0.0, 0.5, 0.5], (n, 1)), []
     for geom in view.geoms[: view.ngeom]:
         if geom.objtype != mujoco.mjtObj.mjOBJ_GEOM or not 0 <= geom.objid < model.ngeom:
@@ -68,6 +68,7 @@ def set_stage(
             planes.append((geom.objid, *plane_texture(model, geom)))
     for row, marker in enumerate(markers, start=model.ngeom):
         rgba[row] = marker.rgba
+    rgba[n - model.nflex :] = model.flex_rgba
     scene = build_scene(model, data, rgba[: model.ngeom, 3], markers)
     return Stage(scene, view, rgba, gloss, tuple(planes), sky_colors(model))
 

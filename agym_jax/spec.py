@@ -207,6 +207,7 @@ class Preferences:
     high_forces: float = 0.05
     food_hit: float = 1.0
     food_velocities: float = 1.0
+    dressing_force: float = 0.01
 
 
 class Task(Protocol):
@@ -293,6 +294,24 @@ class Task(Protocol):
 
     def markers(self, state: Any) -> list[Any]:
         """Points to draw: world positions [m] (3,) or (n, 3), radius [m], colour; NaN is not drawn."""
+        ...
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A triangle mesh to draw, seen from both sides."""
+
+    vertices: Any  # world [m]                                              (n, 3)
+    triangles: Any  # vertices of each                                      (t, 3)
+    rgba: tuple[float, float, float, float]
+
+
+@runtime_checkable
+class Surfaced(Protocol):
+    """What a task has besides if it draws more than points."""
+
+    def surfaces(self, state: Any) -> list[Surface]:
+        """Meshes to draw; their triangles are the same in every state."""
         ...
 
 

@@ -9,15 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from agym_jax.matter.cloth import Cloth, Solids, Touch, anchor_positions, initial, step
+from agym_jax.matter.cloth import Cloth, Touch, initial, step
 from agym_jax.matter.garment import Garment
 from agym_jax.matter.shapes import Capsules, no_capsules
 from agym_jax.matter.sleeve import Arm, crossed, dressed, progress, watched_vertices, worn
 from agym_jax.matter.weave import ClothSpec
+from agym_jax.tasks.dressing import BELOW_HAND, UP, held_at, swivel
 
 DT = 0.01
-NOTHING = Solids.of(no_capsules())
-ABOVE = 0.055
+NOTHING = no_capsules()
+ABOVE = 0.095
 """Height of the gripper above the arm's axis while it pulls [m]."""
 
 
@@ -63,7 +64,7 @@ class Pull:
 class Outcome:
     """What a pull came to."""
 
-    progress: Array  # ()
+    progress: Array  # the best of it                                          ()
     dressed: Array  # AG's r_dress at the end [m]                           ()
     best: Array  # the best of it [m]                                       ()
     through: Array  # most triangles that the arm's axis went through       () int32
@@ -74,8 +75,8 @@ class Outcome:
 
 def draw_pull(key: Array) -> Pull:
     """A pull over the range of people: AG's woman is 0.91 long and 0.82 thick."""
-    low = jnp.array([0.85, 0.75, -0.02, -0.02, -0.01, 0.1, 0.6])
-    high = jnp.array([1.1, 1.0, 0.02, 0.02, 0.02, 0.3, 1.6])
+    low = jnp.array([0.85, 0.75, -0.02, -0.02, -0.02, 0.15, 1.3])
+    high = jnp.array([1.1, 1.0, 0.02, 0.02, 0.005, 0.3, 1.6])
     x = jax.random.uniform(key, (7,), minval=low, maxval=high)
     return Pull(size=x[0], girth=x[1], miss_w=x[2:5], speed=x[5], bend=x[6])
 
@@ -95,46 +96,33 @@ def arm_of(pull: Pull) -> tuple[Arm, Capsules]:
     return arm, Capsules(a, b, radii)
 
 
-def path_of(pull: Pull, arm: Arm, n: int) -> tuple[Array, Array]:
-    """Where the hand is at n moments, and the yaw it has, (n, 3) and (n,): from before the hand to the shoulder."""
-    way = jnp.array([0.0, 1.0, 0.0])
-    upper = (arm.shoulder_w - arm.elbow_w) / arm.upper_length
-    corners = jnp.stack([arm.hand_end_w - 0.08 * way, arm.elbow_w, arm.elbow_w + 0.9 * arm.upper_length * upper])
-    lengths = jnp.linalg.norm(jnp.diff(corners, axis=0), axis=1)
-    done = jnp.maximum(jnp.arange(n) * DT - 1.0, 0.0) * pull.speed  # the first second: settling
-    share = jnp.clip(done[:, None] / jnp.cumsum(lengths), 0.0, 1.0)
-    first = jnp.clip(done / lengths[0], 0.0, 1.0)[:, None]
-    second = jnp.clip((done - lengths[0]) / lengths[1], 0.0, 1.0)[:, None]
-    pos = corners[0] + first * (corners[1] - corners[0]) + second * (corners[2] - corners[1])
-    del share
-    turning = jnp.clip((done - lengths[0] + 0.05) / 0.1, 0.0, 1.0)
-    return pos + pull.miss_w + jnp.array([0.0, 0.0, ABOVE]), turning * pull.bend
-
-
-def yawed(angle: Array) -> Array:
-    """Rotation about z (3, 3)."""
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    return jnp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+def path_of(pull: Pull, arm: Arm, n: int) -> Array:
+    """Where the hand is at n moments [m] (n, 3): from before the tip of the hand to the shoulder."""
+    fore = (arm.elbow_w - arm.wrist_w) / jnp.linalg.norm(arm.elbow_w - arm.wrist_w)
+    way = jnp.stack(
+        [arm.hand_end_w - 0.12 * fore, arm.elbow_w, 0.1 * arm.elbow_w + 0.9 * arm.shoulder_w]
+    )
+    first, second = jnp.linalg.norm(jnp.diff(way, axis=0), axis=1)
+    done = jnp.arange(n)[:, None] * DT * pull.speed
+    pos = way[0] + jnp.clip(done / first, 0.0, 1.0) * (way[1] - way[0])
+    pos = pos + jnp.clip((done - first) / second, 0.0, 1.0) * (way[2] - way[1])
+    return pos + pull.miss_w + ABOVE * UP
 
 
 def pull_on(spec: ClothSpec, pull: Pull, n: int) -> tuple[Outcome, Cloth, Touch, Array]:
     """Pull the gown onto the arm in n physics steps: outcome, cloth and touch at the end, and all positions."""
     arm, capsules = arm_of(pull)
-    pos, yaw = path_of(pull, arm, n + 1)
-    solids = Solids.of(capsules)
+    pos = path_of(pull, arm, n + 1)
     watched = watched_vertices(spec.garment)
     triangles = spec.garment.triangles
-    axis = jnp.stack([arm.shoulder_w, arm.elbow_w, arm.wrist_w + 0.0 * pull.miss_w, arm.hand_end_w])
-    hand = capsules.a_w[2]
-    axis = axis.at[3].set(hand)
+    axis = jnp.stack([arm.shoulder_w, arm.elbow_w, arm.wrist_w, capsules.a_w[2]])
 
     def one(carry: tuple, now: tuple) -> tuple[tuple, Array]:
-        cloth, latched, out = carry
-        before, yaw_before, after, yaw_after = now
-        cloth, touch = step(
-            spec, cloth, solids, solids,
-            anchor_positions(spec, before, yawed(yaw_before)), anchor_positions(spec, after, yawed(yaw_after)), DT,
-        )  # fmt: skip
+        cloth, heading, latched, out = carry
+        before, after = now
+        turned = swivel(heading, after - before)
+        held = held_at(spec, before, heading), held_at(spec, after, turned)
+        cloth, touch = step(spec, cloth, capsules, capsules, *held, DT)
         points = cloth.pos_w[watched]
         latched = worn(points, arm).latch(latched)
         corners = cloth.pos_w[triangles]
@@ -143,7 +131,7 @@ def pull_on(spec: ClothSpec, pull: Pull, n: int) -> tuple[Outcome, Cloth, Touch,
         reached = dressed(points, arm, latched)
         out = replace(
             out,
-            progress=progress(points, arm),
+            progress=jnp.maximum(out.progress, progress(points, arm)),
             dressed=reached,
             best=jnp.maximum(out.best, reached),
             through=jnp.maximum(out.through, through.astype(jnp.int32)),
@@ -151,15 +139,14 @@ def pull_on(spec: ClothSpec, pull: Pull, n: int) -> tuple[Outcome, Cloth, Touch,
             force=jnp.maximum(out.force, touch.total.sum()),
             broken=out.broken | touch.broken,
         )
-        return (cloth, latched, out), (cloth.pos_w, touch)
+        return (cloth, turned, latched, out), (cloth.pos_w, touch)
 
     zero = jnp.float32(0.0)
     out = Outcome(zero, zero, jnp.float32(-9.0), jnp.int32(0), zero, zero, jnp.array(False))
-    cloth = initial(spec, pos[0], yawed(yaw[0]))
+    cloth = initial(spec, pos[0] - BELOW_HAND * UP)
     nothing = worn(cloth.pos_w[watched] + 99.0, arm)
-    (cloth, _, out), (seen, touch) = jax.lax.scan(
-        one, (cloth, nothing, out), (pos[:-1], yaw[:-1], pos[1:], yaw[1:])
-    )
+    carry = (cloth, jnp.float32(0.0), nothing, out)
+    (cloth, _, _, out), (seen, touch) = jax.lax.scan(one, carry, (pos[:-1], pos[1:]))
     return out, cloth, jax.tree.map(lambda x: x[-1], touch), seen
 
 

@@ -168,7 +168,7 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "BedBathing": _TOUCH,
     "Feeding": _MEAL,
     "Drinking": _MEAL,
-    "Dressing": {},
+    "Dressing": _MEAL,
     "ArmManipulation": _TOUCH | {"gamma": 0.98, "gae_lambda": 0.95},
     "Reaching": _TOUCH | {"lr": 3e-4},
 }

@@ -10,6 +10,9 @@ Anchors are where the gripper carries them; they pull and feel nothing. Tethers 
 from its nearest anchor than the way along the cloth. They carry the weight of what hangs, which single sweeps
 would take long to hand up to the gripper.
 
+Nothing is scattered, and between two gathers everything belongs to one vertex: XLA makes one kernel of each
+colour, and the last one does the contacts too.
+
 DEVIATION(no-self-contact): cloth does not touch itself, as AG's does not. Bending keeps the sleeve open.
 DEVIATION(gripper-feels-nothing): anchors do not push back on the robot: the gown weighs 80 g.
 """
@@ -17,6 +20,7 @@ DEVIATION(gripper-feels-nothing): anchors do not push back on the robot: the gow
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -24,20 +28,7 @@ import numpy as np
 from jax import Array
 from jax.lax import rsqrt
 
-from agym_jax.matter.shapes import (
-    TINY,
-    Boxes,
-    Capsules,
-    Touching,
-    Xyz,
-    add,
-    columns,
-    dot,
-    length,
-    no_boxes,
-    scale,
-    sub,
-)
+from agym_jax.matter.shapes import TINY, Capsules, Xyz, add, columns, dot, each, length, scale, sub
 from agym_jax.matter.weave import ClothSpec, Pairs
 
 HEALING = 0.2
@@ -57,37 +48,24 @@ class Cloth:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Solids:
-    """What cloth can touch: k capsules, then b boxes."""
-
-    person: Capsules  # limbs, torso, and links of the robot if they matter
-    furniture: Boxes  # at rest
-
-    @staticmethod
-    def of(person: Capsules) -> Solids:
-        """Capsules alone."""
-        return Solids(person, no_boxes())
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
 class Touch:
-    """What k capsules, then b boxes, felt on average over a physics step."""
+    """What k capsules felt on average over a physics step."""
 
-    net_w: Array  # force of the cloth, world [N]                           (k + b, 3)
-    total: Array  # sum of the sizes of the forces of all vertices [N]      (k + b,)
+    net_w: Array  # force of the cloth, world [N]                           (k, 3)
+    total: Array  # sum of the sizes of the forces of all vertices [N]      (k,)
     broken: Array  # the cloth went non-finite and was put back             () bool
 
 
 def initial(spec: ClothSpec, pos_w: Array, rot_w: Array | None = None) -> Cloth:
-    """The garment at rest, held at a point.
+    """The garment as it hangs, or where nobody has let it, as it was cut, held at a point.
 
     Args:
         spec: of the cloth.
         pos_w: of the origin of the garment's frame, world [m] (3,).
         rot_w: of that frame (3, 3); upright, pulled along world y, if left out.
     """
-    at_rest = jnp.asarray(spec.garment.vertices, jnp.float32)
+    g = spec.garment
+    at_rest = jnp.asarray(g.vertices if g.hanging is None else g.hanging, jnp.float32)
     turned = at_rest if rot_w is None else at_rest @ rot_w.T
     return Cloth(pos_w=pos_w + turned, vel_w=jnp.zeros_like(at_rest))
 
@@ -98,67 +76,70 @@ def anchor_positions(spec: ClothSpec, pos_w: Array, rot_w: Array | None = None) 
     Args:
         spec: of the cloth.
         pos_w: of the origin of the garment's frame, world [m] (3,).
-        rot_w: of that frame (3, 3); upright if left out, as AG's, whose anchors never turn.
+        rot_w: of that frame (3, 3); upright if left out.
     """
-    return initial(spec, pos_w, rot_w).pos_w[spec.garment.anchors]
+    local = jnp.asarray(spec.garment.vertices[spec.garment.anchors], jnp.float32)
+    return pos_w + (local if rot_w is None else local @ rot_w.T)
 
 
 def step(
-    spec: ClothSpec, cloth: Cloth, start: Solids, end: Solids, anchors_start: Array, anchors_end: Array, dt: float
+    spec: ClothSpec, cloth: Cloth, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array, dt: float
 ) -> tuple[Cloth, Touch]:  # fmt: skip
     """Advance by one physics step, while solids and anchors move along straight lines.
 
     Args:
         spec: of the cloth.
         cloth: n vertices.
-        start: solids at its beginning.
+        start: the k solids at its beginning: limbs, torso, furniture.
         end: at its end.
         anchors_start: where the anchors are at its beginning, world [m] (a, 3).
         anchors_end: at its end.
         dt: its length [s].
 
     Returns:
-        cloth, and what the solids felt.
+        cloth, and what the solids felt. A vertex counts for the solid that it touched last.
     """
     fabric = spec.fabric
     h = dt / fabric.substeps
     relax = _relaxation(spec, h)
-    n_solids = len(end.person.radius) + len(end.furniture.half)
     mass = jnp.asarray(spec.mass, jnp.float32)
 
     def between(a: Array, b: Array, share: Array) -> Array:
         return a + share * (b - a)
 
-    def capsules(share: Array) -> Capsules:
-        a_w = between(start.person.a_w, end.person.a_w, share)
-        return Capsules(a_w, between(start.person.b_w, end.person.b_w, share), end.person.radius)
+    def solids(share: Array) -> Capsules:
+        ends = between(start.a_w, end.a_w, share), between(start.b_w, end.b_w, share)
+        return Capsules(*ends, end.radius)
 
     def substep(carry: tuple, share: Array) -> tuple[tuple, None]:
-        pos, vel, net, total = carry
+        pos, vel, pushed, touched = carry
         anchors = columns(between(anchors_start, anchors_end, share))
         fallen = _fall(spec, pos, vel, h)
         moved = relax(_hold(spec, fallen, anchors), anchors)
-        then, now = capsules(share - 1.0 / fabric.substeps), capsules(share)
-        solids = Touching.join((now.touching(moved, then), end.furniture.touching(moved)))
-        push, heal, nearest = _push_out(spec, moved, pos, solids)
+        then, now = solids(share - 1.0 / fabric.substeps), solids(share)
+        push, heal, which = _push_out(spec, moved, pos, then, now)
         after = add(moved, push)
         vel = scale((1.0 - fabric.damping * h) / h, sub(after, pos))
-        after = add(after, heal)
-        impulse = scale(-mass / h, push)  # on the solids
-        felt = jnp.where(nearest, jnp.stack(impulse)[:, None], 0.0).sum(-1)
-        sizes = jnp.where(nearest, mass / h * jnp.sqrt(dot(push, push)), 0.0).sum(-1)
-        return (after, vel, net + felt, total + sizes), None
+        touched = jnp.where(which >= 0, which, touched)
+        return (add(after, heal), vel, add(pushed, push), touched), None
 
     shares = jnp.arange(1, fabric.substeps + 1) / fabric.substeps
-    none = jnp.zeros((3, n_solids)), jnp.zeros(n_solids)
-    carry = (columns(cloth.pos_w), columns(cloth.vel_w), *none)
-    (pos, vel, net, total), _ = jax.lax.scan(substep, carry, shares)
+    still = jnp.zeros(spec.count)
+    nothing = (still, still, still), jnp.full(spec.count, -1, jnp.int32)
+    carry = (columns(cloth.pos_w), columns(cloth.vel_w), *nothing)
+    (pos, vel, pushed, touched), _ = jax.lax.scan(substep, carry, shares)
     moved = Cloth(pos_w=jnp.stack(pos, -1), vel_w=jnp.stack(vel, -1))
     broken = ~(jnp.isfinite(moved.pos_w).all() & jnp.isfinite(moved.vel_w).all())
     kept = Cloth(_finite(cloth.pos_w), jnp.zeros_like(cloth.vel_w))
     cloth = jax.tree.map(lambda a, b: jnp.where(broken, a, b), kept, moved)
-    net, total = (jnp.where(broken, 0.0, x) / dt for x in (net.T, total))
-    return cloth, Touch(net_w=net, total=total, broken=broken)
+    force = scale(-mass / (h * dt), pushed)  # of each vertex on its solid
+    own = jnp.arange(len(end.radius))[:, None] == touched
+
+    def on_each(x: Array) -> Array:
+        return jnp.where(own & ~broken, x, 0.0).sum(-1)
+
+    net = jnp.stack(each(on_each, force), -1)
+    return cloth, Touch(net_w=net, total=on_each(jnp.sqrt(dot(force, force))), broken=broken)
 
 
 def _finite(x: Array) -> Array:
@@ -173,8 +154,8 @@ def _fall(spec: ClothSpec, pos: Xyz, vel: Xyz, h: float) -> Xyz:
 
 def _hold(spec: ClothSpec, pos: Xyz, anchors: Xyz) -> Xyz:
     """Anchored vertices where the gripper has them."""
-    held = spec.held >= 0
-    return tuple(jnp.where(held, a[spec.held], x) for x, a in zip(pos, anchors, strict=True))
+    held, slot = spec.held >= 0, np.maximum(spec.held, 0)
+    return each(lambda x, a: jnp.where(held, _take(a, slot), x), pos, anchors)
 
 
 def _relaxation(spec: ClothSpec, h: float):
@@ -182,18 +163,21 @@ def _relaxation(spec: ClothSpec, h: float):
     inverse = np.where(spec.held >= 0, 0.0, 1.0 / spec.mass)
     hinge, edge = (_shares(p, inverse, h) for p in (spec.hinges, spec.edges))
     crowd = np.maximum(hinge.sum(0), 1e-9) / RELAXED
-    crowd = np.maximum(crowd, crowd[spec.hinges.partner])  # the same for both of a pair: momentum stays
+    # the same for both of a pair: momentum stays
+    crowd = np.maximum(crowd, crowd[spec.hinges.partner])
     hinge = hinge / np.maximum(crowd, 1.0)
-    free = spec.held < 0
+    free = jnp.asarray(spec.held < 0, jnp.float32)
     rows = range(len(edge))
 
     def relax(pos: Xyz, anchors: Xyz) -> Xyz:
         bent = [_pull(spec.hinges, hinge, row, pos) for row in range(len(hinge))]
         for shift in bent:
             pos = add(pos, shift)
-        off = sub(pos, tuple(a[spec.tether] for a in anchors))
+        off = sub(pos, each(partial(_take, at=spec.tether), anchors))
         inverse_length = rsqrt(jnp.maximum(dot(off, off), TINY))
-        excess = free * jnp.maximum(1.0 - jnp.asarray(spec.reach, jnp.float32) * inverse_length, 0.0)
+        excess = free * jnp.maximum(
+            1.0 - jnp.asarray(spec.reach, jnp.float32) * inverse_length, 0.0
+        )
         pos = sub(pos, scale(excess, off))
         for row in rows:
             pos = add(pos, _pull(spec.edges, edge, row, pos))
@@ -211,34 +195,54 @@ def _shares(pairs: Pairs, inverse: np.ndarray, h: float) -> np.ndarray:
 def _pull(pairs: Pairs, share: np.ndarray, row: int, pos: Xyz) -> Xyz:
     """How one row of pairs moves every vertex [m], each (n,)."""
     partner = pairs.partner[row]
-    off = sub(tuple(x[partner] for x in pos), pos)
+    off = sub(each(partial(_take, at=partner), pos), pos)
     inverse_length = rsqrt(jnp.maximum(dot(off, off), TINY))
     rest = jnp.asarray(pairs.rest[row], jnp.float32)
     return scale(jnp.asarray(share[row], jnp.float32) * (1.0 - rest * inverse_length), off)
 
 
-def _push_out(spec: ClothSpec, pos: Xyz, start: Xyz, solids: Touching) -> tuple[Xyz, Xyz, Array]:
-    """How vertices are pushed out of the nearest solid, and healed besides, and which solid that is (k, n).
+def _push_out(
+    spec: ClothSpec, pos: Xyz, start: Xyz, then: Capsules, now: Capsules
+) -> tuple[Xyz, Xyz, Array]:
+    """How vertices are pushed out of the nearest solid, and healed besides, and which solid that is, -1 for none.
 
     A push undoes what moved inwards within the substep, and up to friction * push of what slid along the solid.
     What was inside before is healed by displacement.
     """
-    count = len(solids.dist)
+    count = len(now.radius)
     if not count:
         still = scale(jnp.float32(0.0), pos)
-        return still, still, jnp.zeros(solids.dist.shape, bool)
-    nearest = jnp.arange(count)[:, None] == jnp.argmin(solids.dist, axis=0)
-
-    def of_nearest(x: Array) -> Array:
-        return jnp.where(nearest, x, 0.0).sum(0)
-
-    normal = tuple(map(of_nearest, solids.normal))
-    went = sub(sub(pos, start), tuple(map(of_nearest, solids.moved)))
+        return still, still, jnp.full(spec.count, -1, jnp.int32)
+    which, dist, normal, carried = _nearest(pos, then, now)
+    went = sub(sub(pos, start), carried)
     inwards = dot(went, normal)
     free = jnp.asarray(spec.held < 0, jnp.float32)
-    overlap = free * jnp.maximum(spec.fabric.thickness - of_nearest(solids.dist), 0.0)
+    overlap = free * jnp.maximum(spec.fabric.thickness - dist, 0.0)
     depth = jnp.minimum(overlap, jnp.maximum(-inwards, 0.0))
     slid = sub(went, scale(inwards, normal))
-    undo = jnp.minimum(1.0, spec.fabric.friction * depth * rsqrt(jnp.maximum(dot(slid, slid), TINY)))
+    undo = jnp.minimum(
+        1.0, spec.fabric.friction * depth * rsqrt(jnp.maximum(dot(slid, slid), TINY))
+    )
     push = sub(scale(depth, normal), scale(undo, slid))
-    return push, scale(HEALING * (overlap - depth), normal), nearest
+    return push, scale(HEALING * (overlap - depth), normal), jnp.where(depth > 0, which, -1)
+
+
+def _nearest(pos: Xyz, then: Capsules, now: Capsules) -> tuple[Array, Array, Xyz, Xyz]:
+    """Nearest solid of each vertex: which, its distance [m], its normal, how far it moved [m]; each (n,).
+
+    Only the distances are of all solids: everything else is computed again for the one.
+    """
+    which = jnp.argmin(now.touching(pos, then).dist, axis=0).astype(jnp.int32)
+    own = lambda x: each(partial(_take, at=which), columns(x))  # noqa: E731
+    a, b, moved_a, moved_b = map(own, (now.a_w, now.b_w, now.a_w - then.a_w, now.b_w - then.b_w))
+    from_a, axis = sub(pos, a), sub(b, a)
+    share = jnp.clip(dot(from_a, axis) / jnp.maximum(dot(axis, axis), TINY), 0.0, 1.0)
+    off = sub(from_a, scale(share, axis))
+    gap = length(off)
+    carried = add(moved_a, scale(share, sub(moved_b, moved_a)))
+    return which, gap - _take(now.radius, which), scale(1.0 / gap, off), carried
+
+
+def _take(x: Array, at: Array | np.ndarray) -> Array:
+    """Entries that exist; checking that they do would cost more than taking them."""
+    return x.at[at].get(mode="promise_in_bounds")

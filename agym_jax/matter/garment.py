@@ -18,6 +18,7 @@ from __future__ import annotations
 import tomllib
 from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,8 @@ class Garment:
         cuff: vertices of the loop that the sleeve test watches, in order, (c,).
         anchors: vertices that the gripper holds, (a,).
         area_density: [kg/m^2].
+        hanging: vertices as it hangs at rest from its anchors [m] (n, 3), see ``hang.settle``; None where
+            nobody has let it.
     """
 
     name: str
@@ -58,6 +61,7 @@ class Garment:
     cuff: np.ndarray
     anchors: np.ndarray
     area_density: float = AG_AREA_DENSITY
+    hanging: np.ndarray | None = None
 
     @property
     def areas(self) -> np.ndarray:
@@ -100,14 +104,17 @@ def load(name: str = GOWN) -> Garment:
         )
     garment = readers[path.suffix](path)
     check(garment)
-    centre = garment.vertices[garment.anchors].mean(0)
-    return replace(garment, vertices=garment.vertices - centre)
+    held = garment.anchors
+    centred = replace(garment, vertices=garment.vertices - garment.vertices[held].mean(0))
+    if garment.hanging is None:
+        return centred
+    return replace(centred, hanging=garment.hanging - garment.hanging[held].mean(0))
 
 
 def save(garment: Garment, path: Path) -> None:
     """Write a checked garment as .npz."""
     check(garment)
-    fields = {k: v for k, v in vars(garment).items() if k != "name"}
+    fields = {k: v for k, v in vars(garment).items() if k != "name" and v is not None}
     np.savez_compressed(path, **fields)
 
 
@@ -117,7 +124,7 @@ def _read_npz(path: Path) -> Garment:
         missing = sorted(names - set(stored.files))
         if missing:
             raise GarmentError(f"{path.name} has no {', '.join(missing)}; it has {stored.files}.")
-        arrays = {name: stored[name] for name in names}
+        arrays = {name: stored[name] for name in (*names, *({"hanging"} & set(stored.files)))}
     return Garment(name=path.name, **(arrays | {"area_density": float(arrays["area_density"])}))
 
 
@@ -132,7 +139,9 @@ def _read_description(path: Path) -> Garment:
             raise GarmentError(f"{path.name} names {key!r}. {did_you_mean(key, PARTS)}")
     for key in ("mesh", "cuff", "anchors"):
         if key not in said:
-            raise GarmentError(f"{path.name} does not say {key}; a garment needs mesh, cuff and anchors.")
+            raise GarmentError(
+                f"{path.name} does not say {key}; a garment needs mesh, cuff and anchors."
+            )
     vertices, triangles = _read_obj(asset_path(str((path.parent / said["mesh"]).absolute())))
     cuff = _indices(path.name, "cuff", said["cuff"], len(vertices))
     if len(cuff) == 1:
@@ -160,9 +169,11 @@ def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
                 continue
             corners = [int(word.split("/")[0]) for word in words]
         except ValueError as error:
-            raise GarmentError(f"{path.name}, line {number}: {line!r} cannot be read: {error}.") from error
+            raise GarmentError(
+                f"{path.name}, line {number}: {line!r} cannot be read: {error}."
+            ) from error
         corners = [c - 1 if c > 0 else len(vertices) + c for c in corners]
-        triangles += [[corners[0], b, c] for b, c in zip(corners[1:], corners[2:], strict=False)]
+        triangles += [[corners[0], b, c] for b, c in pairwise(corners[1:])]
     if not triangles or any(len(v) != 3 for v in vertices):
         raise GarmentError(f"{path.name} has no triangles, or vertices without three coordinates.")
     return np.array(vertices), np.array(triangles)
@@ -185,7 +196,15 @@ def check(garment: Garment) -> None:
     flat = np.flatnonzero(garment.areas < 1e-9)
     if len(flat):
         where = triangles[flat[0]].tolist()
-        raise GarmentError(f"{name}: triangle {flat[0]} of vertices {where} has no area. Remove it.")
+        raise GarmentError(
+            f"{name}: triangle {flat[0]} of vertices {where} has no area. Remove it."
+        )
+    if garment.hanging is not None and (
+        garment.hanging.shape != (n, 3) or not np.isfinite(garment.hanging).all()
+    ):
+        raise GarmentError(
+            f"{name}: hanging must be finite and of the shape of the vertices, ({n}, 3)."
+        )
     _check_manifold(garment)
     _check_cuff(garment)
     anchors = _indices(name, "anchors", garment.anchors, n)
@@ -259,7 +278,9 @@ def _check_cuff(garment: Garment) -> None:
     name = garment.name
     cuff = _indices(name, "cuff", garment.cuff, len(garment.vertices)).tolist()
     if len(cuff) < MIN_CUFF or len(set(cuff)) < len(cuff):
-        raise GarmentError(f"{name}: the cuff must have {MIN_CUFF} different vertices or more, got {cuff}.")
+        raise GarmentError(
+            f"{name}: the cuff must have {MIN_CUFF} different vertices or more, got {cuff}."
+        )
     edges = set(map(tuple, garment.edges().tolist()))
     for a, b in zip(cuff, [*cuff[1:], cuff[0]], strict=True):
         if (min(a, b), max(a, b)) not in edges:
@@ -292,7 +313,9 @@ def boundary_loop(name: str, triangles: np.ndarray, vertex: int) -> np.ndarray:
     while here != vertex:
         loop.append(here)
         if len(near[here]) != 2:
-            raise GarmentError(f"{name}: the boundary of the cuff meets another one at vertex {here}.")
+            raise GarmentError(
+                f"{name}: the boundary of the cuff meets another one at vertex {here}."
+            )
         last, here = here, next(v for v in near[here] if v != last)
     return np.array(loop)
 
@@ -304,7 +327,9 @@ def _indices(name: str, what: str, values: object, n: int) -> np.ndarray:
         raise GarmentError(f"{name}: {what} must be numbers of vertices, got {values!r}.")
     wrong = array[(array < 0) | (array >= n)]
     if wrong.size:
-        raise GarmentError(f"{name}: {what} name vertex {wrong.flat[0]}; there are {n}, counted from 0.")
+        raise GarmentError(
+            f"{name}: {what} name vertex {wrong.flat[0]}; there are {n}, counted from 0."
+        )
     return array
 
 

@@ -1,17 +1,18 @@
 """A hospital gown, cut from a few numbers: a sleeve, and under its opening a piece of the body.
 
 ``python -m agym_jax.matter.gown`` writes ``assets/garments/gown.npz``. The gown at rest, in the frame of
-``garment.py``: the sleeve is a tube of constant width along -y. Its opening, where the hand enters, is the loop
-that the sleeve test watches, with the perimeter of AG's cuff, 0.386 m. The gripper holds the top of the opening
+``garment.py``: the sleeve is a tapering tube along -y. Its opening, where the hand enters, is the loop that the
+sleeve test watches; its other end has the perimeter of AG's cuff, 0.386 m. The gripper holds the top of the opening
 by a patch that is as wide as AG's, 75 mm. The body continues the underside of the opening along +y: the arc
-there, and wings tangential to it. Everything can be laid out flat, so nothing is under stress at rest.
+there, and wings tangential to it. Nothing is under stress at rest.
 
 Facts of Assistive Gym: reference tasks.md section 6.
 
 DEVIATION(part-of-a-gown): sleeve and body have 0.39 m^2 of AG's 1.10 m^2, at AG's 0.209 kg/m^2: 0.08 kg of
 0.23 kg. The other sleeve and the rest of the body, which hang from the gripper or lie on the lap, are left out.
 DEVIATION(held-at-the-opening): the gripper holds the gown where the arm enters, and the watched loop is that
-opening. AG's holds the shoulder, and the loop, the sleeve's other end, hangs 0.33 m below it.
+opening, 0.52 m round as an armhole is: AG's 0.386 m does not pass a bent elbow of 43 mm radius without
+stretching. AG's gripper holds the shoulder, and the loop, the sleeve's other end, hangs 0.33 m below it.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 
 from agym_jax.assets import asset_root
 from agym_jax.matter.garment import GOWN, Garment, save
+from agym_jax.matter.hang import settle
 
 
 @dataclass(frozen=True)
@@ -30,41 +32,46 @@ class Cut:
 
     Attributes:
         edge: length of most edges, the resolution; diagonals are longer by 1.4.
-        perimeter: of the opening (AG: the smaller cuff).
-        sleeve: length of the tube: from the shoulder to the wrist of AG's man, 0.54.
+        opening: perimeter of the armhole.
+        cuff: perimeter of the sleeve's other end (AG: the smaller cuff).
+        sleeve: length of the tube: from the shoulder to the middle of the forearm of AG's man.
         patch: width that is held at the opening's top (AG: the patch of anchors).
         patch_depth: how far it reaches into the sleeve (AG: the same).
         body_width: of the body, along the cloth.
         body_length: along +y.
-        seam: share of the opening's perimeter on which the body hangs.
+        seam: share of the opening on which the body hangs.
     """
 
     edge: float = 0.0241
-    perimeter: float = 0.386
-    sleeve: float = 0.50
+    opening: float = 0.52
+    cuff: float = 0.386
+    sleeve: float = 0.43
     patch: float = 0.075
     patch_depth: float = 0.018
-    body_width: float = 0.41
-    body_length: float = 0.46
+    body_width: float = 0.40
+    body_length: float = 0.40
     seam: float = 0.19
 
 
-def cut(measures: Cut = Cut()) -> Garment:  # noqa: B008  frozen
+def cut(measures: Cut = Cut()) -> Garment:
     """The gown at a resolution.
 
     Args:
         measures: of it.
     """
     m = measures
-    around = 2 * round(m.perimeter / m.edge / 2)
-    edge = m.perimeter / around
+    around = 2 * round(m.opening / m.edge / 2)
+    edge = m.opening / around
     radius = edge / (2 * np.sin(np.pi / around))
     rows = round(m.sleeve / edge)
     column = np.arange(around) - (around - 1) / 2  # from the top, symmetric; the ends meet below
     angle = 2 * np.pi * column / around
     ring = np.stack([radius * np.sin(angle), 0 * angle, radius * np.cos(angle)], -1)
     back = np.array([0.0, -edge, 0.0])
-    sleeve = (ring + back * np.arange(rows + 1)[:, None, None]).reshape(-1, 3)
+    down = np.arange(rows + 1)[:, None, None]
+    width = 1.0 - (1.0 - m.cuff / m.opening) * down / rows
+    top = np.array([0.0, 0.0, radius])  # straight: what the gripper holds is level
+    sleeve = (top + width * (ring - top) + back * down).reshape(-1, 3)
     ids = np.arange(len(sleeve)).reshape(rows + 1, around)
     tube = _quads(np.concatenate([ids, ids[:, :1]], axis=1), np.arange(around) < around // 2)
 
@@ -121,7 +128,7 @@ def _unit(a: np.ndarray) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    gown = cut()
+    gown = settle(cut())
     save(gown, asset_root() / GOWN)
     print(
         f"{len(gown.vertices)} vertices, {len(gown.triangles)} triangles, {gown.areas.sum():.3f} m^2, "

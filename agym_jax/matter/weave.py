@@ -62,7 +62,7 @@ class Fabric:
     friction: float = 0.25
     damping: float = 1.0
     gravity: float = -9.81
-    substeps: int = 10
+    substeps: int = 5
     max_speed: float = 6.0
 
 
@@ -96,7 +96,7 @@ class ClothSpec:
         return len(self.mass)
 
 
-def weave(garment: Garment, fabric: Fabric = Fabric(), thinnest: float = 0.027) -> ClothSpec:  # noqa: B008
+def weave(garment: Garment, fabric: Fabric = Fabric(), thinnest: float = 0.027) -> ClothSpec:
     """Make a garment ready for the solver.
 
     Args:

@@ -72,6 +72,7 @@ BAXTER = RobotSpec(
         "Reaching": BaseSearch((-0.85, -0.2, 0.975)),
         "Feeding": BaseSearch((-0.85, -0.2, 0.975)),
         "Drinking": BaseSearch((-0.85, -0.2, 0.975)),
+        "Dressing": BaseSearch((0.85, 0.3, 0.975), side=1.0, yaw=math.pi),
     },
     base_height=0.975,
     start_rotations={
@@ -85,5 +86,7 @@ BAXTER = RobotSpec(
         "Feeding": (0.5, 0.5, 0.5, 0.5),
         # AG v0.1 drinking.py: as ArmManipulation, the cup upright
         "Drinking": (0.0, _H, 0.0, _H),
+        # AG v0.1 dressing.py: Euler (0, -pi/2, 0), the hand along world -x
+        "Dressing": (_H, 0.0, -_H, 0.0),
     },
 )

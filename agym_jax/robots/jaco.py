@@ -46,8 +46,13 @@ JACO = RobotSpec(
     bases={
         "wheelchair": Pose((-0.35, -0.3, 0.36), (_H, 0.0, 0.0, -_H)),
         "Reaching": Pose((-0.35, -0.3, 0.36)),
+        "Dressing": Pose((0.35, -0.3, 0.36)),
     },
-    mounts={"wheelchair": "furniture/jaco_mount.xml", "bed": "furniture/nightstand.xml"},
+    mounts={
+        "wheelchair": "furniture/jaco_mount.xml",
+        "wheelchair_left": "furniture/jaco_mount_left.xml",
+        "bed": "furniture/nightstand.xml",
+    },
     # robots.md section 7: beside the bed on a nightstand, spread 0.1 m
     searches={
         "BedBathing": BaseSearch((-0.9, 0.65, 0.6), spread=0.1),
@@ -63,5 +68,7 @@ JACO = RobotSpec(
         # sections 4, 5: (pi/2, 0, pi/2); (0, pi/2, 0)
         "Feeding": (0.5, 0.5, 0.5, 0.5),
         "Drinking": (_H, 0.0, _H, 0.0),
+        # section 6: (0, -pi/2, 0), the hand points along world -x
+        "Dressing": (_H, 0.0, -_H, 0.0),
     },
 )

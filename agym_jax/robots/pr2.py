@@ -75,6 +75,7 @@ PR2 = RobotSpec(
         "Reaching": BaseSearch((-0.75, -0.2, 0.0)),
         "Feeding": BaseSearch((-0.75, -0.2, 0.0)),
         "Drinking": BaseSearch((-0.65, -0.2, 0.0)),
+        "Dressing": BaseSearch((0.85, 0.3, 0.0), side=1.0, yaw=math.pi),
     },
     # tasks.md sections 2, 3, 7, 8: Euler (0, 0, 0), the hand points along world +x; Reaching (pi/2, 0, 0)
     start_rotations={
@@ -85,5 +86,7 @@ PR2 = RobotSpec(
         # sections 4, 5: (pi/2, 0, 0); (0, 0, 0)
         "Feeding": (_H, _H, 0.0, 0.0),
         "Drinking": (1.0, 0.0, 0.0, 0.0),
+        # section 6: (0, 0, pi), the hand points along world -x
+        "Dressing": (0.0, 0.0, 0.0, 1.0),
     },
 )

@@ -59,6 +59,7 @@ SAWYER = RobotSpec(
         "Reaching": BaseSearch((-0.85, -0.2, 0.905)),
         "Feeding": BaseSearch((-0.85, -0.2, 0.905)),
         "Drinking": BaseSearch((-0.85, -0.2, 0.905)),
+        "Dressing": BaseSearch((0.95, 0.3, 0.905), side=1.0, yaw=math.pi),
     },
     base_height=0.905,
     start_rotations={
@@ -72,5 +73,7 @@ SAWYER = RobotSpec(
         "Feeding": (0.5, 0.5, 0.5, 0.5),
         # AG v0.1 drinking.py: Euler (0, -pi/2, pi), the cup upright
         "Drinking": (0.0, _H, 0.0, _H),
+        # AG v0.1 dressing.py: Euler (0, -pi/2, 0), the hand along world -x
+        "Dressing": (_H, 0.0, -_H, 0.0),
     },
 )

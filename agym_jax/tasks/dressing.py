@@ -1,0 +1,330 @@
+"""Dressing: pull the sleeve of a hospital gown up the person's left arm.
+
+Assistive Gym v0.1 ``dressing.py`` (reference tasks.md section 6). The person holds the left arm sideways, the
+forearm forwards. The gripper holds the gown at the sleeve's opening and is paid for how far up the arm the
+opening has come; 0.4 m, from the tip of the hand along forearm and upper arm, are a success.
+
+DEVIATION(start-before-the-hand): the gripper starts 12 cm before the tip of the hand and 10 cm above it. In AG,
+where it holds the gown 0.33 m above the opening, it starts 0.22 m above the hand: the opening is as far away.
+DEVIATION(gown-swivels): the held patch turns about the vertical like a caster towards where it is pulled, from
+along the forearm to along the upper arm, whatever the hand's own direction. AG's patch keeps its direction, but
+its opening hangs 0.33 m below and turns by itself; a sleeve that is pulled round an elbow has to.
+DEVIATION(cloth-force): true newtons, the mean over a control step of what the gown presses on the person,
+summed over its vertices. AG: position corrections times 10, of contacts below 1.1 m and 20 units, with robot
+and wheelchair among them.
+DEVIATION(cloth-obstacles): the gown meets limbs, torso and the left armrest, not the robot.
+DEVIATION(dressing-limits): the joint limits of the person's arm hold here as in every task.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from agym_jax.furniture import WHEELCHAIR
+from agym_jax.helped_arm import ArmFromChest, ArmFromTorso
+from agym_jax.matter import cloth as fabrics
+from agym_jax.matter import sleeve
+from agym_jax.matter.cloth import Cloth, Touch
+from agym_jax.matter.garment import Garment, load
+from agym_jax.matter.hang import settle
+from agym_jax.matter.shapes import Capsules
+from agym_jax.matter.weave import ClothSpec, Fabric, weave
+from agym_jax.observe import column, observation, part
+from agym_jax.person.body import LEFT_ARM
+from agym_jax.person.solids import link_capsules
+from agym_jax.preferences import dressing_terms
+from agym_jax.sense import Sensed
+from agym_jax.spec import Control, PersonSpec, Preferences, SeatSpec, Surface
+
+_RAD = math.pi / 180.0
+UP = np.array([0.0, 0.0, 1.0], np.float32)
+ARM_LINKS = ("left_upper_arm", "left_forearm", "left_hand")
+"""Their origins are the shoulder, the elbow and the wrist."""
+TOUCHABLE = (*ARM_LINKS, "left_girdle", "chest", "waist", "head", "left_thigh")
+"""Limbs that hand and gown may touch."""
+BELOW = ("neck", "right_thigh")
+"""Further limbs that the gown may lie on."""
+ARMREST = (
+    ((0.245, -0.171, 0.685), (0.245, 0.025, 0.685)),
+    ((0.298, -0.171, 0.685), (0.298, 0.025, 0.685)),
+)
+"""Ends of its two capsules, world [m]: assets/furniture/wheelchair.xml."""
+ARMREST_RADIUS = 0.034  # [m]
+START = (0.45, -0.47, 1.08)  # of the hand, world [m]
+START_SPREAD = 0.05  # [m], AG dressing.py reset
+BELOW_HAND = 0.03
+"""From the end effector down to the held patch [m]: cloth that fingertips pinch hangs below them."""
+TRAIL = 0.06
+"""Way across its heading after which the patch has mostly turned into it [m]."""
+HEADINGS = (0.0, math.pi / 2)
+"""Between which the patch turns: pulled along +y, and along -x [rad]."""
+LEFT_BESIDE = replace(
+    WHEELCHAIR,
+    name="wheelchair_left",  # what carries a robot stands on the person's left
+    geoms=("armrest_left_inner_collision", "armrest_left_outer_collision"),
+    front=((1.25, -1.75, 1.75), (0.25, -0.1, 0.85)),
+)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Weights and thresholds. AG v0.1 config.ini [dressing] unless said."""
+
+    dressing: float = 1.0  # dressing_reward_weight
+    action: float = 0.01  # action_weight
+    dressed: float = 0.4  # task_success_threshold [m]
+    preferences: Preferences = Preferences()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class DressState:
+    """The gown of one episode and how far it has come."""
+
+    cloth: Cloth
+    heading: Array  # of the gown, about world z [rad]                          ()
+    on_arm: sleeve.Worn  # what the sleeve is on or was on
+    dressed: Array  # AG's r_dress, now [m]                                     ()
+    best: Array  # the best of it so far [m]                                    ()
+    progress: Array  # share of the whole arm that is in the sleeve now         ()
+    force: Array  # of the gown on each limb, mean of the last control step [N] (n_limbs,)
+
+
+@observation(source="dressing.py _get_obs")
+class RobotObs:
+    """What the robot sees."""
+
+    hand_pos_torso: Array = column(3, "m", "world axes, from the robot's torso")
+    hand_quat_w: Array = column(4, "1 (wxyz)", "world")
+    arm_angles: Array = column(7, "rad", "joints")
+    helped_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
+    cloth_force: Array = column(1, "N", "gown on the person")
+
+
+@observation(source="dressing.py _get_obs")
+class PersonObs:
+    """What the active person sees and feels."""
+
+    hand_pos_person: Array = column(3, "m", "world axes, from the chest")
+    hand_quat_w: Array = column(4, "1 (wxyz)", "world")
+    person_angles: Array = column(10, "rad", "left arm's joints")
+    helped_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
+    cloth_force: Array = column(1, "N", "gown on the person")
+    robot_on_person: Array = column(1, "N", "robot on the person")
+
+
+@dataclass(frozen=True)
+class Dressing:
+    """The task: data for the scene, and pure functions for the environment."""
+
+    config: Config = Config()
+    garment: str = "garments/gown.npz"
+    fabric: Fabric = field(default_factory=Fabric)
+    name: str = "Dressing"
+    # AG env.py, dressing.py: 0.01 s x 10 of 4 solver sub-steps, gain 0.001 each, 4 x 1 N m, 10 x 0.05 rad
+    control: Control = Control(
+        time_step=0.01, frame_skip=10, rate=0.001 / 0.0025, max_torque=4.0, action_scale=0.5
+    )
+    gravity: float = -1.0  # AG dressing.py reset: on the person; the gown has its own
+    arms: tuple[str, ...] = ("left",)
+    goals: tuple[tuple[str, ...], ...] = (ARM_LINKS,)
+    tool: None = None
+    seat: SeatSpec = LEFT_BESIDE
+    person: PersonSpec = PersonSpec(
+        joints=LEFT_ARM,
+        # AG dressing.py reset: joints_positions
+        pose={
+            "r_elbow_x": -90 * _RAD, "l_shoulder_y": -80 * _RAD, "l_elbow_x": -90 * _RAD,
+            "r_hip_x": -90 * _RAD, "r_knee_x": 80 * _RAD,
+            "l_hip_x": -90 * _RAD, "l_knee_x": 80 * _RAD,
+        },
+        hold_rate=0.0025 / 0.0025,
+        move_rate=0.0025 / 0.0025,  # AG: gain 0.0025 for tremor and the active person
+        max_torque=4.0,  # AG: 4 x 1 N m
+        tremor_amplitude=10 * _RAD,
+        impairments=("none", "limits", "weakness", "tremor"),
+        limbs=TOUCHABLE,
+        links=BELOW,
+        arm="left",
+        still="frozen",
+    )  # fmt: skip
+    episode_length: int = 200
+    robot_obs: type = RobotObs
+    person_obs: type = PersonObs
+
+    def __post_init__(self) -> None:
+        """Refuse a garment that could not be worn or simulated.
+
+        Raises:
+            GarmentError: with the edge, triangle or loop that is wrong.
+        """
+        _ = self.spec
+
+    @cached_property
+    def gown(self) -> Garment:
+        """What is put on, hanging."""
+        garment = load(self.garment)
+        return garment if garment.hanging is not None else settle(garment, self.fabric)
+
+    @cached_property
+    def spec(self) -> ClothSpec:
+        """The same for the solver."""
+        return weave(self.gown, self.fabric)
+
+    @cached_property
+    def watched(self) -> np.ndarray:
+        """Vertices of the two triangles that span the opening (2, 3)."""
+        return sleeve.watched_vertices(self.gown)
+
+    def start(self, key: Array, robot: str) -> Array:
+        """Where the hand starts, world [m] (1, 3)."""
+        noise = jax.random.uniform(key, (1, 3), minval=-START_SPREAD, maxval=START_SPREAD)
+        return jnp.array([START]) + noise
+
+    def init(self, key: Array, sensed: Sensed) -> DressState:
+        """The gown hangs from the hand, at rest, its opening towards the person."""
+        nowhere, zero = jnp.bool_(False), jnp.float32(0.0)
+        state = DressState(
+            cloth=fabrics.initial(self.spec, sensed.tool.pos_w - BELOW_HAND * UP),
+            heading=zero,
+            on_arm=sleeve.Worn(nowhere, nowhere),
+            dressed=zero,
+            best=jnp.float32(-jnp.inf),
+            progress=zero,
+            force=jnp.zeros(len(TOUCHABLE) + len(BELOW)),
+        )
+        return self._judge(state, sensed)
+
+    def advance(self, state: DressState, sensed: Sensed) -> tuple[DressState, dict[str, Array]]:
+        """Let the gown move with the hand, and see how far up the arm it is."""
+        cloth, heading, touch = self._move(state, sensed)
+        limbs = len(TOUCHABLE) + len(BELOW)
+        # a gown that blew up is put back; NaN is what the environment's guard ends episodes for
+        force = jnp.where(touch.broken.any(), jnp.nan, touch.total.mean(0)[:limbs])
+        return self._judge(replace(state, cloth=cloth, heading=heading, force=force), sensed), {}
+
+    def _move(self, state: DressState, sensed: Sensed) -> tuple[Cloth, Array, Touch]:
+        """Gown and heading after the n physics steps of a control step, and what was felt in each."""
+        motion = sensed.motion
+        limbs = (*TOUCHABLE, *BELOW)
+        a, b, radius = link_capsules(sensed.dims, limbs, motion.link_pos_w, motion.link_rot_w)
+        still = jnp.broadcast_to(jnp.array(ARMREST), (len(a), 2, 2, 3))
+        a, b = (jnp.concatenate([x, still[:, :, i]], 1) for i, x in enumerate((a, b)))
+        radius = jnp.concatenate([radius, jnp.full(2, ARMREST_RADIUS)])
+
+        def one(carry: tuple[Cloth, Array], moment: tuple) -> tuple[tuple[Cloth, Array], Touch]:
+            cloth, heading = carry
+            (a0, b0, hand0), (a1, b1, hand1) = moment
+            after = swivel(heading, hand1 - hand0)
+            cloth, touch = fabrics.step(
+                self.spec, cloth, Capsules(a0, b0, radius), Capsules(a1, b1, radius),
+                held_at(self.spec, hand0, heading), held_at(self.spec, hand1, after),
+                self.control.time_step,
+            )  # fmt: skip
+            return (cloth, after), touch
+
+        way = a, b, motion.tool_pos_w
+        moments = tuple(x[:-1] for x in way), tuple(x[1:] for x in way)
+        (cloth, heading), touch = jax.lax.scan(one, (state.cloth, state.heading), moments)
+        return cloth, heading, touch
+
+    def _judge(self, state: DressState, sensed: Sensed) -> DressState:
+        """How far up the arm the opening is."""
+        points, arm = state.cloth.pos_w[self.watched], arm_of(sensed)
+        on_arm = sleeve.worn(points, arm).latch(state.on_arm)
+        dressed = sleeve.dressed(points, arm, on_arm)
+        return replace(
+            state,
+            on_arm=on_arm,
+            dressed=dressed,
+            best=jnp.maximum(state.best, dressed),
+            progress=sleeve.progress(points, arm),
+        )
+
+    def rewards(
+        self, state: DressState, events: dict[str, Array], sensed: Sensed, action: Array
+    ) -> dict[str, Array]:
+        """Weighted terms. AG dressing.py step; the action is clipped (deviation action-penalty)."""
+        c = self.config
+        return {
+            "dressing": c.dressing * state.dressed,
+            "action": -c.action * jnp.sum(jnp.square(action)),
+            **dressing_terms(
+                c.preferences, jnp.linalg.norm(sensed.tool.vel_w), jnp.sum(state.force)
+            ),
+        }
+
+    def observe(self, state: DressState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+        """What robot and person see; not the gown, but what the arm feels of it."""
+        s, hand, force = sensed, sensed.tool, jnp.sum(state.force)
+        joints = [s.link_pos_w[link] for link in ARM_LINKS]
+        robot = RobotObs(
+            hand_pos_torso=hand.pos_w - s.torso_pos_w,
+            hand_quat_w=hand.quat_w,
+            arm_angles=s.arm_angles,
+            helped_arm=ArmFromTorso(*(joint - s.torso_pos_w for joint in joints)),
+            cloth_force=force,
+        )
+        person = PersonObs(
+            hand_pos_person=hand.pos_w - s.person_pos_w,
+            hand_quat_w=hand.quat_w,
+            person_angles=s.person_angles,
+            helped_arm=ArmFromChest(*(joint - s.person_pos_w for joint in joints)),
+            cloth_force=force,
+            robot_on_person=s.robot_on_person,
+        )
+        return robot, person
+
+    def success(self, state: DressState) -> Array:
+        """Whether the sleeve has been far enough up the arm ()."""
+        return state.best >= self.config.dressed
+
+    def markers(self, state: DressState) -> list[tuple[Array, float, tuple[float, ...]]]:
+        """Nothing: the gown is a surface."""
+        return []
+
+    def surfaces(self, state: DressState) -> list[Surface]:
+        """The gown."""
+        return [Surface(state.cloth.pos_w, self.gown.triangles, (0.55, 0.76, 0.86, 1.0))]
+
+
+def swivel(heading: Array, moved: Array) -> Array:
+    """Heading of what is pulled, after its front was moved [rad] ().
+
+    Args:
+        heading: about world z, 0 along +y [rad] ().
+        moved: way of the hand [m] (3,).
+    """
+    across = -jnp.cos(heading) * moved[0] - jnp.sin(heading) * moved[1]
+    return jnp.clip(heading + across / TRAIL, *HEADINGS)
+
+
+def held_at(spec: ClothSpec, hand_w: Array, heading: Array) -> Array:
+    """Where the held vertices are, world [m] (a, 3).
+
+    Args:
+        spec: of the gown.
+        hand_w: of the gripper [m] (3,).
+        heading: of the gown [rad] ().
+    """
+    c, s, zero = jnp.cos(heading), jnp.sin(heading), jnp.zeros_like(heading)
+    turned = jnp.stack(
+        [jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.array([0.0, 0.0, 1.0])]
+    )
+    return fabrics.anchor_positions(spec, hand_w - BELOW_HAND * UP, turned)
+
+
+def arm_of(sensed: Sensed) -> sleeve.Arm:
+    """The arm that is dressed. Its hand, elbow and shoulder are as thick as the upper arm, as in AG."""
+    shoulder, elbow, wrist = (sensed.link_pos_w[link] for link in ARM_LINKS)
+    return sleeve.Arm(shoulder, elbow, wrist, sensed.dims.upper_arm_r)
+
+
+DRESSING = Dressing()

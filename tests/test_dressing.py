@@ -1,0 +1,217 @@
+# ruff: noqa: D103
+"""Dressing by hand: reference tasks.md section 6 and humans.md section 9, without MJX."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cloth_world import draw_pull, pull_on
+from meal_world import CHEST, FAR, TORSO, arrays, sensed
+
+from agym_jax import observe
+from agym_jax.matter.sleeve import Worn
+from agym_jax.robots import ROBOTS
+from agym_jax.spec import Preferences
+from agym_jax.tasks.dressing import (
+    ARM_LINKS,
+    BELOW_HAND,
+    DRESSING,
+    START,
+    TRAIL,
+    arm_of,
+    held_at,
+    swivel,
+)  # fmt: skip
+
+TASK = DRESSING
+SHOULDER, ELBOW, WRIST = np.array([
+    [0.179, 0.03, 1.0315], [0.4538, 0.03, 0.9831], [0.4538, -0.26, 0.9831]
+])  # of a man, humans.md section 5  # fmt: skip
+HIP = np.array([0.1, -0.02, 0.6])
+
+
+def towards(direction: np.ndarray) -> np.ndarray:
+    """A rotation that takes -z to a direction (3, 3)."""
+    z = -direction / np.linalg.norm(direction)
+    x = np.cross([0.31, 0.5, 0.81], z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], -1)
+
+
+def seen(path: np.ndarray | None = None, **tool):
+    """The man holds his left arm sideways; the hand goes along a path (11, 3) or rests at the start."""
+    path = np.tile(START, (11, 1)) if path is None else path
+    s = sensed({"pos_w": path[-1]} | tool, path=path, limbs_at=FAR + 5.0)
+    places = dict(zip(ARM_LINKS, (SHOULDER, ELBOW, WRIST), strict=True))
+    turns = dict(
+        zip(ARM_LINKS, map(towards, (ELBOW - SHOULDER, WRIST - ELBOW, WRIST - ELBOW)), strict=True)
+    )
+    still = lambda x: np.tile(x, (len(path), *[1] * np.ndim(x)))  # noqa: E731
+    moved = replace(
+        s.motion,
+        link_pos_w=s.motion.link_pos_w | arrays({k: still(v) for k, v in places.items()}),
+        link_rot_w=s.motion.link_rot_w | arrays({k: still(v) for k, v in turns.items()}),
+    )
+    return replace(
+        s, motion=moved, link_pos_w=s.link_pos_w | arrays(places), link_rot_w=s.link_rot_w | arrays(turns),
+        person_angles=jnp.arange(10.0),
+    )  # fmt: skip
+
+
+@cache
+def start():
+    return TASK.init(jax.random.PRNGKey(0), seen())
+
+
+@cache
+def advance():
+    return jax.jit(TASK.advance)
+
+
+def test_it_begins_hanging_before_the_hand_and_dressing_nobody():
+    state = start()
+    assert not state.on_arm.forearm and not state.on_arm.upper_arm
+    assert -0.25 < float(state.dressed) < -0.05 and state.progress == 0 and not TASK.success(state)
+    held = state.cloth.pos_w[TASK.spec.garment.anchors].mean(0)
+    np.testing.assert_allclose(held, np.array(START) - [0, 0, BELOW_HAND], atol=1e-5)
+    opening = state.cloth.pos_w[TASK.watched].reshape(6, 3).mean(0)
+    assert 0.08 < np.linalg.norm(opening - arm_of(seen()).hand_end_w) < 0.2  # AG: 0.08 to 0.15
+
+
+def test_at_rest_nothing_happens():
+    after, events = advance()(start(), seen())
+    assert events == {} and np.abs(after.cloth.pos_w - start().cloth.pos_w).max() < 0.01
+    assert not after.force.any() and after.heading == 0
+    np.testing.assert_allclose(after.dressed, start().dressed, atol=0.01)
+
+
+def test_the_gown_follows_the_hand_at_every_physics_step():
+    away = np.array(START) + np.linspace(0, 1, 11)[:, None] * [0.0, -0.03, 0.05]
+    after, _ = advance()(start(), seen(away))
+    held = after.cloth.pos_w[TASK.spec.garment.anchors].mean(0)
+    np.testing.assert_allclose(held, away[-1] - [0, 0, BELOW_HAND], atol=1e-5)
+
+
+def test_it_presses_on_the_limb_that_it_lies_on():
+    over = np.array([0.4538, -0.15, 0.9831 + 0.08])  # the forearm, from above
+    state = TASK.init(jax.random.PRNGKey(0), seen(np.tile(over, (11, 1))))
+    for _ in range(3):
+        state, _ = advance()(state, seen(np.tile(over, (11, 1))))
+    arm = state.force[:3].sum()  # ARM_LINKS come first
+    assert 0.01 < arm < 5.0 and arm > 0.99 * state.force.sum()
+
+
+def test_a_gown_that_blew_up_says_nan_and_is_finite():
+    state = start()
+    wild = replace(state, cloth=replace(state.cloth, vel_w=state.cloth.vel_w.at[5].set(jnp.nan)))
+    after, _ = advance()(wild, seen())
+    assert jnp.isnan(after.force).all() and jnp.isfinite(after.cloth.pos_w).all()
+    robot, _ = TASK.observe(after, seen())
+    assert jnp.isnan(robot.cloth_force)  # ends the episode: env.py guards the observation
+
+
+def test_the_gown_turns_like_a_caster_towards_where_it_is_pulled():
+    heading = jnp.float32(0.0)
+    for _ in range(100):
+        heading = swivel(heading, jnp.array([-0.003, 0.0, 0.0]))
+    assert 0.95 * np.pi / 2 < heading <= np.pi / 2
+    assert np.isclose(swivel(jnp.float32(0.0), jnp.array([-0.01, 0.5, 0.3])), 0.01 / TRAIL)
+    # no further than along the forearm
+    assert swivel(jnp.float32(0.0), jnp.array([0.01, 0.0, 0.0])) == 0
+    along = held_at(TASK.spec, jnp.zeros(3), jnp.float32(0.0))
+    across = held_at(TASK.spec, jnp.zeros(3), jnp.float32(np.pi / 2))
+    assert np.ptp(along[:, 0]) > 0.05 > np.ptp(along[:, 1])
+    np.testing.assert_allclose(across[:, 1], along[:, 0], atol=1e-6)
+
+
+def test_reward_is_assistive_gyms():
+    """R = r_dress - 0.01 |a|^2 - 0.25 v - 0.01 sum |f|; the robot's touch costs nothing."""
+    state = replace(start(), dressed=jnp.float32(0.37), force=jnp.arange(10.0))
+    now = seen(vel_w=np.array([0.0, 0.3, 0.4]), on_person=12.0)
+    action = jnp.array([0.5, -0.5, 0.5, -0.5, 0.0, 0.0, 1.0])
+    terms = TASK.rewards(state, {}, now, action)
+    expected = {
+        "dressing": 0.37, "action": -0.01 * 2.0,
+        "preference_velocity": -0.25 * 0.5, "preference_dressing_force": -0.01 * 45.0,
+    }  # fmt: skip
+    assert set(terms) == set(expected)
+    for name, value in expected.items():
+        np.testing.assert_allclose(terms[name], value, rtol=1e-5, err_msg=name)
+
+
+@pytest.mark.parametrize(("best", "won"), [(0.399, False), (0.4, True)])
+def test_success_at_40_cm_ever(best: float, won: bool):
+    state = replace(start(), best=jnp.float32(best), dressed=jnp.float32(-0.3))
+    assert bool(TASK.success(state)) == won
+
+
+def test_flags_and_the_best_stay():
+    state = replace(start(), on_arm=Worn(jnp.bool_(True), jnp.bool_(False)), best=jnp.float32(0.3))
+    after, _ = advance()(state, seen())
+    assert after.on_arm.forearm and np.isclose(after.best, 0.3) and after.dressed < after.best
+
+
+def test_weights_are_assistive_gyms():
+    c, p, control = TASK.config, Preferences(), TASK.control
+    assert (c.dressing, c.action, c.dressed, p.dressing_force) == (1.0, 0.01, 0.4, 0.01)
+    # section 1.5: 0.0196 rad in a control step of a full action, under 4 N m
+    free = control.action_scale * (1 - np.exp(-control.rate * control.period))
+    np.testing.assert_allclose(free, 0.0196, atol=5e-5)
+    assert np.isclose(control.period, 0.1) and control.max_torque == 4.0
+    assert TASK.episode_length == 200 and TASK.gravity == -1.0 and TASK.fabric.gravity == -9.81
+    assert TASK.person.still == "frozen" and len(TASK.person.joints) == 10
+    assert all(joint.startswith("l_") for joint in TASK.person.joints)
+    assert np.isclose(TASK.person.pose["l_shoulder_y"], np.deg2rad(-80))
+    assert set(TASK.person.impairments) == {"none", "limits", "weakness", "tremor"}
+
+
+def test_observations_are_differences_along_world_axes():
+    state = replace(start(), force=jnp.arange(10.0))
+    quat = np.array([0.5, 0.5, -0.5, 0.5])
+    now = replace(seen(quat_w=quat), robot_on_person=jnp.float32(0.5))
+    robot, person = TASK.observe(state, now)
+    joints = np.concatenate([SHOULDER, ELBOW, WRIST]).reshape(3, 3)
+    flat = np.concatenate
+    expected = flat(
+        [np.subtract(START, TORSO), quat, np.arange(7), (joints - TORSO).ravel(), [45.0]]
+    )
+    np.testing.assert_allclose(observe.flatten(robot), expected, atol=1e-5)
+    expected = flat(
+        [np.subtract(START, CHEST), quat, np.arange(10), (joints - CHEST).ravel(), [45.0, 0.5]]
+    )
+    np.testing.assert_allclose(observe.flatten(person), expected, atol=1e-5)
+    assert (len(observe.flatten(robot)), len(observe.flatten(person))) == (24, 28)
+
+
+def test_starts_vary_by_5_cm():
+    starts = np.array(
+        [TASK.start(k, "PR2")[0] for k in jax.random.split(jax.random.PRNGKey(0), 64)]
+    )
+    off = starts - START
+    assert np.abs(off).max() <= 0.05 and np.ptp(off, axis=0).min() > 0.07
+
+
+def test_the_gown_is_drawn_as_a_surface():
+    (gown,) = TASK.surfaces(start())
+    assert gown.vertices.shape == TASK.spec.garment.vertices.shape and len(gown.triangles) > 1000
+    assert TASK.markers(start()) == []
+
+
+def test_every_robot_has_a_start_for_it():
+    for robot in ROBOTS.values():
+        assert "Dressing" in robot.start_rotations
+        assert robot.fixed_base(TASK) is not None or "Dressing" in robot.searches
+
+
+def test_pulls_dress_people_of_all_sizes_and_no_limb_passes_through():
+    pulls = jax.vmap(draw_pull)(jax.random.split(jax.random.PRNGKey(0), 5))
+    steps = 560  # at 0.15 m/s, the slowest
+    out = jax.jit(lambda p: jax.lax.map(lambda x: pull_on(TASK.spec, x, steps)[0], p))(pulls)
+    assert (out.through == 0).all() and not out.broken.any()
+    assert (out.best > 0.4).all() and (out.progress > 0.85).all()
+    assert (out.deepest < 0.012).all() and (out.force < 20.0).all() and (out.force > 0.1).all()

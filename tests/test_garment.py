@@ -1,0 +1,176 @@
+# ruff: noqa: D103
+"""Garments: the gown that comes with the package, somebody's own OBJ, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agym_jax.errors import MissingAssetError
+from agym_jax.matter.garment import (
+    AG_AREA_DENSITY,
+    Garment,
+    GarmentError,
+    boundary_loop,
+    load,
+    longest_edge,
+    save,
+)  # fmt: skip
+from agym_jax.matter.gown import Cut, cut
+from agym_jax.matter.hang import settle
+from agym_jax.matter.weave import Fabric, weave
+from agym_jax.tasks.dressing import Dressing
+
+SQUARE = Garment(  # 4 x 4 vertices, 2 cm apart
+    name="square",
+    vertices=np.array([[0.02 * c, 0.0, -0.02 * r] for r in range(4) for c in range(4)]),
+    triangles=np.array([
+        t for r in range(3) for c in range(3) for i in [4 * r + c] for t in ([i, i + 1, i + 5], [i, i + 5, i + 4])
+    ]),
+    cuff=np.array([0, 1, 2, 3, 7, 11, 15, 14, 13, 12, 8, 4]),
+    anchors=np.array([0, 1, 2, 3]),
+)  # fmt: skip
+
+
+def write_obj(folder: Path, garment: Garment, factor: float = 100.0, **said) -> Path:
+    """An OBJ in centimetres, with quads where two triangles make one, and its description."""
+    lines = ["# mine", *(f"v {x} {y} {z}" for x, y, z in factor * garment.vertices)]
+    lines += [f"f {a + 1}/1 {b + 1}/1 {c + 1}/1" for a, b, c in garment.triangles.tolist()]
+    (folder / "mine.obj").write_text("\n".join(lines))
+    said = {"mesh": "'mine.obj'", "scale": 1 / factor, "cuff": [0], "anchors": [0, 1, 2, 3]} | said
+    path = folder / "mine.toml"
+    path.write_text("\n".join(f"{k} = {v}" for k, v in said.items() if v is not None))
+    return path
+
+
+def test_the_gown_has_the_measures_of_a_gown():
+    gown = load()
+    assert 400 <= len(gown.vertices) <= 1200
+    assert np.isclose(gown.cuff_perimeter, 0.52, atol=0.005)
+    far = boundary_loop("gown", gown.triangles, int(np.argmin(gown.vertices[:, 1])))
+    loop = gown.vertices[far]
+    around = np.linalg.norm(loop - np.roll(loop, -1, 0), axis=1).sum()
+    assert np.isclose(around, 0.386, atol=0.005)  # AG's cuff
+    assert np.isclose(gown.area_density, 0.23 / 1.099) and 0.06 < gown.mass < 0.1
+    assert np.allclose(gown.vertices[gown.anchors].mean(0), 0.0, atol=1e-9)
+    assert 0.06 < np.ptp(gown.vertices[gown.anchors][:, 0]) < 0.09  # AG: 75 mm
+    np.testing.assert_allclose(weave(gown).mass.sum(), gown.mass, rtol=1e-6)
+
+
+def test_what_is_kept_is_what_the_script_cuts():
+    made, kept = cut(), load()
+    np.testing.assert_allclose(made.vertices, kept.vertices, atol=1e-9)
+    np.testing.assert_array_equal(made.triangles, kept.triangles)
+    np.testing.assert_array_equal(made.cuff, kept.cuff)
+
+
+@pytest.mark.parametrize("edge", [0.0241, 0.02, 0.017])
+def test_resolution_is_a_parameter(edge: float):
+    gown, rough = cut(Cut(edge=edge)), cut()
+    assert np.isclose(gown.areas.sum(), rough.areas.sum(), rtol=0.08)
+    assert np.isclose(gown.cuff_perimeter, 0.52, atol=0.003)
+    spec = weave(gown)
+    degrees = np.bincount(gown.edges().ravel())
+    assert len(spec.edges.partner) <= degrees.max() + 1  # few colours
+    for table in (spec.edges, spec.hinges):  # partners of each other
+        rows, ids = np.nonzero(table.active)
+        back = table.partner[rows, table.partner[rows, ids]]
+        if table is spec.edges:
+            np.testing.assert_array_equal(back, ids)
+
+
+def test_somebodys_own_shirt(tmp_path: Path):
+    garment = load(str(write_obj(tmp_path, SQUARE, area_density=0.5)))
+    np.testing.assert_allclose(
+        garment.vertices, SQUARE.vertices - SQUARE.vertices[:4].mean(0), atol=1e-9
+    )
+    assert set(garment.cuff.tolist()) == set(SQUARE.cuff.tolist()) and garment.area_density == 0.5
+    assert load(str(write_obj(tmp_path, SQUARE))).area_density == AG_AREA_DENSITY
+    task = Dressing(garment=str(write_obj(tmp_path, SQUARE)))
+    assert task.spec.count == 16 and task.gown.hanging is not None
+    assert abs(task.gown.hanging[:, 2].min() + 0.06) < 0.005  # it hangs by its upper edge
+
+
+def test_npz_keeps_everything(tmp_path: Path):
+    hanging = settle(SQUARE)
+    save(hanging, tmp_path / "square.npz")
+    again = load(str(tmp_path / "square.npz"))
+    shift = SQUARE.vertices[:4].mean(0)
+    np.testing.assert_allclose(again.vertices, SQUARE.vertices - shift)
+    np.testing.assert_allclose(again.hanging, hanging.hanging - hanging.hanging[:4].mean(0))
+    save(SQUARE, tmp_path / "square.npz")
+    assert load(str(tmp_path / "square.npz")).hanging is None
+
+
+def test_longest_edge_lets_a_limb_sink_by_the_thickness():
+    edge, r, t = longest_edge(0.027, 0.008), 0.027, 0.008
+    corner = edge / np.sqrt(3)  # of an equilateral triangle, from its middle
+    assert np.isclose(np.sqrt((r + t) ** 2 - corner**2), r)  # the sphere's middle, above the plane
+    with pytest.raises(
+        GarmentError, match=r"edge between vertices \d+ and \d+ is 3\d\.\d mm.*27.0 mm"
+    ):
+        weave(replace(SQUARE, vertices=1.39 * SQUARE.vertices))
+
+
+def vertex(i: int, value) -> dict:
+    return {"vertices": np.vstack([SQUARE.vertices[:i], [value], SQUARE.vertices[i + 1 :]])}
+
+
+BAD = {
+    "three triangles at an edge": (
+        {"vertices": np.vstack([SQUARE.vertices, [0.01, 0.02, 0.0]]), "triangles": np.vstack([SQUARE.triangles, [0, 5, 16]])},
+        "edge between vertices 0 and 5 belongs to 3 triangles"),
+    "two pieces": (
+        {"vertices": np.vstack([SQUARE.vertices, np.eye(3)]), "triangles": np.vstack([SQUARE.triangles, [16, 17, 18]])},
+        "not one piece: vertex 16"),
+    "cuff is open": ({"cuff": np.array([0, 1, 2, 3, 7, 11])}, "vertices 11 and 0 follow each other"),
+    "cuff is short": ({"cuff": np.array([0, 1, 5])}, "6 different vertices"),
+    "cuff does not exist": ({"cuff": np.array([0, 1, 99])}, "cuff name vertex 99; there are 16"),
+    "anchors do not exist": ({"anchors": np.array([-1])}, "anchors name vertex -1"),
+    "anchors twice": ({"anchors": np.array([1, 1])}, "different vertices"),
+    "no anchors": ({"anchors": np.array([], int)}, "anchors must be numbers"),
+    "nan": (vertex(3, [np.nan, 0, 0]), "must be finite"),
+    "flat triangle": (vertex(1, SQUARE.vertices[0]), "triangle 0 of vertices"),
+    "no weight": ({"area_density": 0.0}, "area_density must be > 0"),
+    "hangs wrongly": ({"hanging": np.zeros((3, 3))}, r"hanging must be .*\(16, 3\)"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_bad_garments_are_refused_with_the_place(what: str):
+    changes, message = BAD[what]
+    with pytest.raises(GarmentError, match=message):
+        weave(replace(SQUARE, **changes))
+
+
+def test_bad_descriptions_are_refused(tmp_path: Path):
+    for changes, message in (
+        ({"cuff": None}, "does not say cuff"),
+        ({"cufff": [0]}, "'cufff'.*cuff"),
+        ({"cuff": [5]}, "vertex 5 lies on 0 edges"),
+    ):
+        with pytest.raises(GarmentError, match=message):
+            load(str(write_obj(tmp_path, SQUARE, **changes)))
+    path = write_obj(tmp_path, SQUARE)
+    (tmp_path / "mine.obj").write_text("v 0 0 zero\n")
+    with pytest.raises(GarmentError, match="line 1"):
+        load(str(path))
+    path.write_text("cuff = [")
+    with pytest.raises(GarmentError, match="not TOML"):
+        load(str(path))
+    with pytest.raises(GarmentError, match="needs a description"):
+        load(str(tmp_path / "mine.obj"))
+    with pytest.raises(MissingAssetError):
+        load(str(tmp_path / "yours.toml"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"), [({"thickness": 0.0}, "thickness > 0"), ({"stretch": -1.0}, "stretch >= 0"),
+                             ({"substeps": 0}, "substeps > 0"), ({"friction": np.nan}, "friction")],
+)  # fmt: skip
+def test_bad_fabrics_are_refused(changes: dict, message: str):
+    with pytest.raises(GarmentError, match=message):
+        weave(SQUARE, Fabric(**changes))

@@ -19,6 +19,7 @@ import jax
 import tyro
 
 from agym_jax.errors import AgymError
+from agym_jax.meshes import check_looks
 from train.configs import Count
 from train.envs import make_env, programs
 from train.errors import ConfigError
@@ -64,6 +65,8 @@ class EnjoyConfig:
     """Height of a picture in pixels."""
     backend: str = "auto"
     """How pictures are drawn: "gl", "raycast" or "auto"."""
+    looks: str = "primitives"
+    """What the robot looks like: "primitives", or "meshes" of other packages (agym_jax[meshes])."""
 
 
 @dataclass(frozen=True)
@@ -126,22 +129,20 @@ def markers(env: Any, state: Any) -> list[Any]:
     return [m if isinstance(m, Marker) else Marker(*m) for m in env.markers(state)]
 
 
-def film(
-    env: Any, frames: Sequence[Frame], width: int, height: int, camera: str, backend: str
-) -> list[Any]:
+def film(env: Any, frames: Sequence[Frame], config: EnjoyConfig) -> list[Any]:
     """Pictures of the frames of one episode, uint8 (height, width, 3) each."""
     from agym_jax.render import Renderer
 
-    model, data = env.to_mujoco(frames[0].state)
-    pictures = []
-    with Renderer(model, width, height, camera, backend) as renderer:
+    model, data = env.to_mujoco(frames[0].state, config.looks)
+    pictures, size = [], (config.width, config.height)
+    with Renderer(model, *size, config.camera, config.backend) as renderer:
         for frame in frames:
             env.write_mujoco(frame.state, data, model)
             pictures.append(renderer.render(data, markers(env, frame.state)))
     return pictures
 
 
-def watch(env: Any, frames: Iterator[Frame]) -> list[Frame]:
+def watch(env: Any, frames: Iterator[Frame], looks: str) -> list[Frame]:
     """Show an episode in MuJoCo's viewer at the speed of life; returns its frames.
 
     Raises:
@@ -151,7 +152,7 @@ def watch(env: Any, frames: Iterator[Frame]) -> list[Frame]:
         import mujoco.viewer
 
         first = next(frames)
-        model, data = env.to_mujoco(first.state)
+        model, data = env.to_mujoco(first.state, looks)
         handle = mujoco.viewer.launch_passive(model, data)
     except Exception as error:  # GLFW and X fail in many ways
         raise ConfigError(
@@ -190,7 +191,7 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
     pictures, labels, lasts = [], [], []
     for number in range(config.episodes):
         frames = player.episode(config.seed + number)
-        frames = watch(env, frames) if config.viewer else list(frames)
+        frames = watch(env, frames, config.looks) if config.viewer else list(frames)
         last = frames[-1]
         force = sum(frame.force for frame in frames) / max(1, last.step)
         done = "success" if last.success else "no success"
@@ -203,9 +204,7 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
         if config.clip or config.sheet:
             if not config.clip:  # a sheet shows twenty of them
                 frames = frames[:: math.ceil(len(frames) / SHEET_PICTURES)]
-            pictures += film(
-                env, frames, config.width, config.height, config.camera, config.backend
-            )
+            pictures += film(env, frames, config)
             labels += [caption(frame) for frame in frames]
     if config.clip or config.sheet:
         from agym_jax.clips import contact_sheet, write_clip
@@ -229,6 +228,8 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
         if config.policy not in BASELINES:
             path = find_policy(config.env_name.rpartition(":")[2], config.load_dir, config.policy)
         env = make(config.env_name, config.impl)
+        if config.looks != "primitives":  # before anything is compiled
+            check_looks(config.looks, env.robot)
         if path is None:
             policy = baseline_policy(str(config.policy), env.action_size)
         else:

@@ -13,6 +13,8 @@ import pytest
 from fake_env import FakeEnv
 
 from train import enjoy, evaluate
+from train.acting import BASELINES, baseline_policy
+from train.algorithm import policy_of
 from train.configs import PPOConfig
 from train.errors import (
     PolicyDamagedError,
@@ -20,10 +22,9 @@ from train.errors import (
     PolicyLayoutError,
     PolicyNotFoundError,
 )
-from train.evaluate import BASELINES, Evaluator, baseline_policy, wilson_interval
+from train.evaluate import Evaluator, wilson_interval
 from train.learner import architecture, init_learner
 from train.policy import Policy, find_policy, load_policy, save_policy
-from train.ppo import policy_of
 
 INFO = {"env": "FakeReach-v0", "layout": "fake-1", "commit": None, "versions": {}}
 

@@ -19,16 +19,18 @@ import pytest
 from fake_env import FakeEnv
 
 from agym_jax.errors import BufferOverflowError
+from train.algorithm import OneLearner
 from train.checkpoint import checkpoint_files, load_newest
 from train.configs import PPOConfig
 from train.curve import check_row, make_row
 from train.errors import ActiveHumanError, CheckpointMismatchError, DivergedError, SaveFolderError
 from train.evaluate import Evaluator
-from train.learner import architecture, init_learner, make_updates
 from train.policy import load_policy
-from train.ppo import main, summary, train
+from train.ppo import main, train
 from train.progress import Lines
+from train.result import summary
 from train.rollout import first_worlds
+from train.updates import make_updates
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = PPOConfig(
@@ -139,10 +141,10 @@ def test_fresh_moves_the_old_run_aside(tmp_path):
 
 def test_a_restored_learner_learns_on_exactly_as_one_that_was_never_saved(tmp_path):
     env, config = FakeEnv(), SMALL
-    venv, arch = env.vectorize(4), architecture(config, 4, 2)
-    learner = jax.jit(lambda key: init_learner(config, arch, key))(jax.random.PRNGKey(0))
+    venv, algorithm = env.vectorize(4), OneLearner(config, env)
+    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
     worlds = jax.jit(lambda key: first_worlds(venv, key, True))(jax.random.PRNGKey(1))
-    run = jax.jit(make_updates(venv, config, arch))
+    run = jax.jit(make_updates(venv, config, algorithm))
     middle, worlds, _ = run(learner, worlds, jnp.int32(3), jnp.float32(800))
     unbroken, _, _ = run(middle, worlds, jnp.int32(2), jnp.float32(800))
 

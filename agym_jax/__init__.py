@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from agym_jax import cache as _cache
-from agym_jax import mjx_patch as _mjx_patch
 from agym_jax.errors import AgymError
 
 if TYPE_CHECKING:
@@ -22,7 +21,6 @@ __version__ = "0.1.0"
 __all__ = ["AgymError", "Env", "State", "list_envs", "make", "register_envs"]
 
 _cache.enable()
-_mjx_patch.apply()
 
 
 def make(name: str, impl: str = "auto", people: Any = None, num_worlds: int = 1) -> Env:
@@ -30,7 +28,8 @@ def make(name: str, impl: str = "auto", people: Any = None, num_worlds: int = 1)
 
     Args:
         name: its id, such as ``"ScratchItchJaco-v0"``; ``list_envs()`` has them all.
-        impl: physics: ``"jax"`` (anywhere), ``"warp"`` (NVIDIA GPUs) or ``"auto"``.
+        impl: physics: MJX in ``"jax"`` (anywhere) or ``"warp"`` (NVIDIA GPUs), ``"auto"`` for the one that
+            fits, or ``"native"``: C MuJoCo, for one world on the CPU, not to be jitted or vmapped.
         people: an ``agym_jax.person.draw.People``, if not Assistive Gym's men and women.
         num_worlds: how many worlds will be stepped together; sizes Warp's buffers.
             ``agym_jax.wrappers.vectorize`` sets it for you.

@@ -1,59 +1,49 @@
 """THE environment: control -> physics -> sense -> task -> observe, in that order, once.
 
 One class for every task, robot and person. ``reset`` and ``step`` are pure and written for one world;
-``jax.vmap`` them, or let ``agym_jax.wrappers.vectorize`` do it with auto-reset.
+``jax.vmap`` them, or let ``agym_jax.wrappers.vectorize`` do it with auto-reset. The physics is one of
+those in ``physics``; with one that JAX cannot trace, the parts around it are compiled by themselves.
 
 DEVIATION(action-penalty): actions are clipped to [-1, 1] before they are penalised (AG penalises the
 raw action).
 DEVIATION(quaternion-order): observed quaternions are wxyz; AG's are xyzw.
-DEVIATION(limit-clip): a robot's target is clipped to the joint limits; AG drops the rest of a
-joint's motion in that control step once it would cross a limit.
 DEVIATION(one-key): everything random follows from the key (AG's sex and impairment ignore the seed).
-DEVIATION(arm-limits-always): the pose-dependent limits of the arm hold for the still person too, whom
-the robot may push; AG judges them for the active person only.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import warnings
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from brax import envs as brax_envs
 from jax import Array
-from mujoco import mjx
 
 from agym_jax import observe
+from agym_jax.control import Driver, Orders
+from agym_jax.episode import Drawn, draw_episode, episode_of, geom_sizes
 from agym_jax.errors import ActionError
-from agym_jax.person import body, draw, limits, muscles
-from agym_jax.person import pose as person_pose
-from agym_jax.physics import (
-    WARP_CONTACTS_PER_WORLD,
-    WARP_LOST,
-    WARP_ROWS_PER_WORLD,
-    choose_impl,
-    place_static_geoms,
-    put_model,
-)
+from agym_jax.person import draw
+from agym_jax.physics import build_physics, check_traceable, choose_impl
 from agym_jax.placement import load_bank
 from agym_jax.scene import build_scene, compose
-from agym_jax.sense import Sensed, add_touch, no_touch, sense
-from agym_jax.spec import Pose, RobotSpec, Task
-from agym_jax.state import Episode, Placement, State
+from agym_jax.sense import Motion, Sensed, Touch, at_rest, no_touch, sense
+from agym_jax.spec import Furnished, Pose, RobotSpec, Task
+from agym_jax.state import Episode, State, select, strong
 
 
-class AssistiveEnv(brax_envs.Env):
+class AssistiveEnv:
     """A robot helps a person; see the module's docstring.
 
     Args:
         task: what to do.
         robot: who helps.
         active: whether the person acts too (AG's ``...Human-v0``).
-        impl: ``"jax"``, ``"warp"``, or ``"auto"``: Warp on an NVIDIA GPU with warp-lang, else JAX.
+        impl: ``"jax"``, ``"warp"``, or ``"auto"``: Warp on an NVIDIA GPU with warp-lang, else JAX;
+            ``"native"`` is C MuJoCo, for one world.
         people: population that episodes draw from.
         num_worlds: how many worlds will be stepped together: sizes Warp's buffers.
     """
@@ -74,17 +64,17 @@ class AssistiveEnv(brax_envs.Env):
         self.scene = build_scene(task, robot, active)
         self.name = f"{task.name}{robot.name}{'Human' if active else ''}-v0"
         self.episode_length = task.episode_length
-        self._bank = load_bank(task, robot)
-        self._arm_limits = limits.load_arm_limits()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # MJX's notes on its own experimental features
-            self._model = put_model(self.scene.model, self.impl)
-        self._limits = np.array(
-            self.scene.model.jnt_range[self.scene.index.robot_joint], np.float32
+        self.driver = Driver.of(self.scene, task, active)
+        self.physics = build_physics(
+            self.impl, self.scene, self.driver, task.control.frame_skip, num_worlds
         )
-        welded = self.scene.model.body_weldid[self.scene.model.geom_bodyid] == 0
-        self._static_geoms = np.flatnonzero(welded)
-        self._driven = dataclasses.replace(task.person, joints=self.scene.moving)
+        self._bank = load_bank(task, robot)
+        whole = self.physics.traceable  # then the caller compiles ``reset`` and ``step``
+        part: Callable[[Any], Any] = (lambda function: function) if whole else jax.jit
+        self._draw, self._meet = part(self._draw_episode), part(self._first_look)
+        self._order, self._judge = part(self.driver.orders), part(self._judgement)
+        if whole:
+            _introduce_to_brax()
 
     # -- sizes ---------------------------------------------------------------------------------
 
@@ -122,6 +112,11 @@ class AssistiveEnv(brax_envs.Env):
         return self.impl
 
     @property
+    def unwrapped(self) -> AssistiveEnv:
+        """Brax's name for the environment inside of all wrappers."""
+        return self
+
+    @property
     def dt(self) -> float:
         """Length of a control step [s]."""
         return self.task.control.period
@@ -132,23 +127,16 @@ class AssistiveEnv(brax_envs.Env):
 
     # -- the two pure functions ----------------------------------------------------------------
 
-    # A State serves Brax in use, not by its type.
-    def reset(self, rng: Array) -> State:  # pyrefly: ignore[bad-override]
+    def reset(self, rng: Array) -> State:
         """A new person, a new goal, the robot at a new start.
 
         Args:
             rng: PRNG key, typed or raw.
         """
-        data = mjx.make_data(
-            self.scene.model,
-            impl=self.impl,
-            naconmax=WARP_CONTACTS_PER_WORLD * self.num_worlds,
-            njmax=WARP_ROWS_PER_WORLD,
-        )
-        return self._begin(data, rng)
+        return self._begin(self.physics.blank(), rng)
 
     def restart(self, state: State, where: Array) -> State:
-        """Begin a new episode if ``where``; cheap, and safe for both implementations.
+        """Begin a new episode if ``where``; cheap, and safe for all implementations.
 
         Args:
             state: of a finished (or any) episode; its key is used up.
@@ -158,7 +146,7 @@ class AssistiveEnv(brax_envs.Env):
         fresh = self._begin(state.data, key, where=where, old=state)
         return fresh.replace(key=jnp.where(where, key_next, state.key))
 
-    def step(self, state: State, action: Array) -> State:  # pyrefly: ignore[bad-override]
+    def step(self, state: State, action: Array) -> State:
         """One control step of 0.1 s.
 
         Args:
@@ -169,174 +157,93 @@ class AssistiveEnv(brax_envs.Env):
             ActionError: the shape is wrong, or (outside of jit) entries are not finite.
         """
         action = self._checked(action)
-        index, control, episode = self.scene.index, self.task.control, state.episode
-        n_arm = len(index.robot_ctrl)
-        model = self._model_of(episode)
-        moving = muscles.is_moving(episode.person.tremor, self.active)
+        check_traceable(self.physics, state.data.qpos, action)
         # control
-        q_arm = state.data.qpos[index.robot_qpos]
-        goal = q_arm + control.action_scale * action[:n_arm]
-        goal = jnp.clip(goal, self._limits[:, 0], self._limits[:, 1])
-        person_target, hold = self._person_target(episode, state.data, action[n_arm:])
-        data = state.data.replace(ctrl=state.data.ctrl.at[index.robot_ctrl].set(goal))
-
+        orders = self._order(state.episode, state.data.qpos, action)
         # physics
-        def substep(carry, _):
-            data, touch = carry
-            q, v = data.qpos[index.person_qpos], data.qvel[index.person_dof]
-            torque = muscles.torque(
-                self._driven, person_target, q, data.qfrc_bias[index.person_dof],
-                episode.person.strength, moving,
-            ) + self._limit_torque(q, v)  # fmt: skip
-            data = data.replace(qfrc_applied=data.qfrc_applied.at[index.person_dof].set(torque))
-            data = mjx.step(model, data)
-            return (data, add_touch(index, touch, data.sensordata)), None
-
-        (data, touch), _ = jax.lax.scan(substep, (data, no_touch(index)), length=control.frame_skip)
-        # sense
-        data = mjx.kinematics(model, data)
-        sensed = self._sense(model, data, touch, control.frame_skip, episode)
-        # task
-        task, events = self.task.advance(state.task, sensed)
-        rewards = self.task.rewards(task, events, sensed, action)
-        # observe
-        obs = self._observe(task, sensed)
-        step = episode.step + 1
-        bad = ~(
-            jnp.all(jnp.isfinite(data.qpos)) & jnp.all(jnp.isfinite(data.qvel))
-            & jnp.all(jnp.isfinite(obs)) & jnp.isfinite(sum(rewards.values()))
-        )  # fmt: skip
-        rewards = {k: jnp.where(bad, 0.0, v) for k, v in rewards.items()}
-        over = (step >= self.episode_length) | bad
-        stepped = state.replace(
+        data, touch, motion = self.physics.simulate(state.data, state.episode, orders)
+        # sense -> task -> observe
+        judged = self._judge(data, touch, motion, state.task, state.episode, orders)
+        return state.replace(
             data=data,
-            obs=jnp.where(bad, 0.0, obs),
-            reward=sum(rewards.values()),
-            done=over.astype(jnp.float32),
-            metrics={**state.metrics, **self._metrics(task, rewards, sensed, data, bad)},
-            task=task,
-            episode=dataclasses.replace(episode, person_target=hold, step=step),
+            obs=judged.obs,
+            reward=judged.reward,
+            done=judged.done,
+            metrics={**state.metrics, **judged.metrics},
+            task=judged.task,
+            episode=dataclasses.replace(state.episode, person_target=orders.hold, step=judged.step),
         )
-        return _strong(stepped)
 
-    # -- pieces ---------------------------------------------------------------------------------
+    def programs(self) -> tuple[Callable[[Array], State], Callable[[State, Array], State]]:
+        """``reset`` and ``step`` of one world, compiled as far as the physics allows."""
+        whole = self.physics.traceable
+        return (jax.jit(self.reset), jax.jit(self.step)) if whole else (self.reset, self.step)
+
+    # -- around the physics ---------------------------------------------------------------------
+
+    def _draw_episode(self, rng: Array) -> tuple[Drawn, Array, Array]:
+        """What makes an episode, and the keys of the task and of what comes after."""
+        *keys, key_task, key = jax.random.split(rng, 5)
+        drawn = draw_episode(keys, self.scene, self.task.person, self.people, self._bank)
+        return strong((drawn, key_task, key))
 
     def _begin(
         self, data: Any, rng: Array, where: Array | None = None, old: State | None = None
     ) -> State:
         """Write a new episode into ``data``; with ``where`` and ``old``, only where it holds."""
-        index, spec, moving = self.scene.index, self.task.person, self.scene.moving
-        key_person, key_pose, key_place, key_task, key = jax.random.split(rng, 5)
-        person = draw.draw_person(
-            key_person, self.people, len(moving), spec.tremor_amplitude, spec.impairments
-        )
-        pose = person_pose.draw_pose(key_pose, spec, person)
-        rows = self._rows_of(person, pose)
-        row = jax.random.randint(key_place, (), 0, self._bank.arm_angles.shape[0])
-        placement = jax.tree.map(lambda x: jnp.asarray(x)[row], self._bank)
-        angles = person_pose.start_angles(pose, moving, person.limit_scale, jnp)
-        episode = Episode(person, pose, rows, placement, angles, angles, jnp.int32(0))
-        qpos = jnp.asarray(self.scene.model.qpos0, jnp.float32)
-        qpos = qpos.at[index.robot_qpos].set(placement.arm_angles).at[index.person_qpos].set(angles)
-        fresh = {
-            "qpos": qpos, "qvel": jnp.zeros_like(data.qvel), "ctrl": jnp.zeros_like(data.ctrl),
-            "qacc_warmstart": jnp.zeros_like(data.qacc_warmstart),
-            "qfrc_applied": jnp.zeros_like(data.qfrc_applied),
-            "qfrc_bias": jnp.zeros_like(data.qfrc_bias),
-        }  # fmt: skip
+        check_traceable(self.physics, rng)
+        drawn, key_task, key = self._draw(rng)
+        xp = jnp if self.physics.traceable else np
+        episode = strong(episode_of(self.scene, self.task.person, drawn, xp))
         if where is not None and old is not None:
-            fresh = {k: jnp.where(where, v, getattr(data, k)) for k, v in fresh.items()}
-            episode = _select(where, episode, old.episode)
-        model = self._model_of(episode)
-        data = mjx.kinematics(model, data.replace(**fresh))
-        if self.impl == "warp":
-            data = place_static_geoms(self._static_geoms, model, data)
-        sensed = self._sense(model, data, no_touch(index), 1, episode)
-        task = self.task.init(key_task, sensed)
-        obs = self._observe(task, sensed)
+            episode = select(where, episode, old.episode)
+        data = self.physics.place(data, episode, where)
+        task, obs, metrics = self._meet(key_task, data, episode)
+        if where is not None and old is not None:
+            task, obs = select(where, (task, obs), (old.task, old.obs))
+            return old.replace(data=data, obs=obs, task=task, episode=episode)
         zero = jnp.float32(0.0)
-        if where is not None and old is not None:
-            task, obs = _select(where, task, old.task), jnp.where(where, obs, old.obs)
-            return _strong(old.replace(data=data, obs=obs, task=task, episode=episode))
+        return State(data, obs, zero, zero, metrics, {}, task, episode, key)
+
+    def _first_look(self, key: Array, data: Any, episode: Episode) -> tuple[Any, Array, dict]:
+        """The task as it begins, what is seen of it, and metrics of nothing."""
+        index = self.scene.index
+        still = at_rest(index, data, self.task.control.frame_skip)
+        sensed = self._sense(data, no_touch(index), still, episode)
+        task = self.task.init(key, sensed)
         _, events = self.task.advance(task, sensed)
         terms = self.task.rewards(task, events, sensed, jnp.zeros(self.action_size))
-        rewards = dict.fromkeys(terms, zero)  # only the names: nothing of this is computed
+        rewards = dict.fromkeys(terms, jnp.float32(0.0))  # only the names: nothing is computed
         metrics = self._metrics(task, rewards, sensed, data, jnp.bool_(False))
-        return _strong(State(data, obs, zero, zero, metrics, {}, task, episode, key))
+        return strong((task, self._observe(task, sensed), metrics))
 
-    def _rows_of(self, person: draw.Person, pose: person_pose.Pose) -> body.BodyFields:
-        """The person's part of the model: rows of the scene's links."""
-        moving, index = self.scene.moving, self.scene.index
-        rows = person_pose.rows(
-            self.task.person, pose, person.dims, moving, person.limit_scale, jnp
+    def _judgement(
+        self, data: Any, touch: Touch, motion: Motion, task: Any, episode: Episode, orders: Orders
+    ) -> _Judged:
+        """Sense -> task -> observe, and the guard against NaN."""
+        sensed = self._sense(data, touch, motion, episode)
+        task, events = self.task.advance(task, sensed)
+        rewards = self.task.rewards(task, events, sensed, orders.action)
+        obs = self._observe(task, sensed)
+        bad = ~(
+            jnp.all(jnp.isfinite(data.qpos)) & jnp.all(jnp.isfinite(data.qvel))
+            & jnp.all(jnp.isfinite(obs)) & jnp.isfinite(sum(rewards.values()))
+        )  # fmt: skip
+        rewards = {k: jnp.where(bad, 0.0, v) for k, v in rewards.items()}
+        step = episode.step + 1
+        judged = _Judged(
+            task=task,
+            obs=jnp.where(bad, 0.0, obs),
+            reward=jnp.asarray(sum(rewards.values())),
+            done=((step >= self.episode_length) | bad).astype(jnp.float32),
+            metrics=self._metrics(task, rewards, sensed, data, bad),
+            step=step,
         )
-        per_link = [k for k in rows._fields if not k.startswith("jnt")]
-        return rows._replace(**{k: getattr(rows, k)[index.person_row] for k in per_link})
+        return strong(judged)
 
-    def _model_of(self, episode: Episode) -> mjx.Model:
-        """The model with this episode's person and robot base in it."""
-        m, index, p, rows = self._model, self.scene.index, episode.person, episode.rows
-        moving = muscles.is_moving(p.tremor, self.active)
-        invweight = {
-            name: jnp.asarray(
-                _blend(getattr(self.scene.model, name), getattr(self.scene.female, name), p.sex)
-            )
-            for name in ("body_invweight0", "dof_invweight0")
-        }
-        bodies, geoms, joints = index.person_body, index.person_geom, index.person_joint
-        return m.tree_replace({
-            "body_pos": m.body_pos.at[bodies].set(rows.body_pos)
-            .at[index.robot_base].set(episode.placement.base_pos),
-            "body_quat": m.body_quat.at[bodies].set(rows.body_quat)
-            .at[index.robot_base].set(episode.placement.base_quat),
-            "body_mass": m.body_mass.at[bodies].set(rows.body_mass),
-            "body_ipos": m.body_ipos.at[bodies].set(rows.body_ipos),
-            "body_inertia": m.body_inertia.at[bodies].set(rows.body_inertia),
-            "geom_size": m.geom_size.at[geoms].set(rows.geom_size),
-            "geom_pos": m.geom_pos.at[geoms].set(rows.geom_pos),
-            "geom_rbound": m.geom_rbound.at[geoms].set(rows.geom_rbound),
-            "jnt_pos": m.jnt_pos.at[joints].set(rows.jnt_pos),
-            "jnt_range": m.jnt_range.at[joints].set(rows.jnt_range),
-            "dof_damping": m.dof_damping.at[index.person_dof].set(
-                muscles.damping(self._driven, p.strength, moving)
-            ),
-            **invweight,
-        })  # fmt: skip
-
-    def _person_target(self, episode: Episode, data: Any, action: Array) -> tuple[Array, Array]:
-        """What the muscles aim at in this control step, and what to remember of it.
-
-        AG env.py take_step: the target is the angle measured now (or, with tremor, the pose held so
-        far) plus the action; tremor adds its amplitude with alternating sign, minus first.
-        """
-        q = data.qpos[self.scene.index.person_qpos]
-        trembles = jnp.any(episode.person.tremor != 0.0)
-        target = episode.person_target
-        if self.active:
-            low, high = body.joint_limits(self.scene.moving, episode.person.limit_scale).T
-            start = jnp.where(trembles, target, q)
-            target = jnp.clip(start + self.task.control.action_scale * action, low, high)
-        sign = jnp.where(episode.step % 2 == 0, -1.0, 1.0)
-        return target + sign * episode.person.tremor, target
-
-    def _limit_torque(self, q: Array, v: Array) -> Array:
-        """Pose-dependent limits of the arm [N m] (n_person,)."""
-        names = self.scene.moving
-        torque = jnp.zeros_like(q)
-        for side in ("right", "left"):
-            arm = [f"{side[0]}_{j}" for j in ("shoulder_y", "shoulder_x", "shoulder_z", "elbow_x")]
-            if arm[0] in names:
-                i = np.array([names.index(j) for j in arm])
-                torque = torque.at[i].set(
-                    limits.limit_torque(
-                        self._arm_limits, q[i], v[i], 1.0 if side == "right" else -1.0
-                    )
-                )
-        return torque
-
-    def _sense(self, model: Any, data: Any, touch: Any, n_steps: int, episode: Episode) -> Sensed:
-        dims, index = episode.person.dims, self.scene.index
-        return sense(index, data, touch, n_steps, dims, model.geom_size)
+    def _sense(self, data: Any, touch: Touch, motion: Motion, episode: Episode) -> Sensed:
+        sizes = geom_sizes(self.scene, episode)
+        return sense(self.scene.index, data, touch, motion, episode.person.dims, sizes)
 
     def _observe(self, task: Any, sensed: Sensed) -> Array:
         robot, person = self.task.observe(task, sensed)
@@ -353,27 +260,21 @@ class AssistiveEnv(brax_envs.Env):
             "force/tool": clean(sum(t.force for t in sensed.tools)),
             "success": clean(self.task.success(task)),
             "nan": bad.astype(jnp.float32),
-            "overflow": self._overflow(data),
+            "overflow": self.physics.overflow(data),
         }
 
-    def _overflow(self, data: Any) -> Array:
-        """1.0 where Warp's buffers lost a contact or a constraint row ()."""
-        if self.impl != "warp":
-            return jnp.float32(0.0)
-        return ((data._impl.overflow & WARP_LOST) != 0).any().astype(jnp.float32)
-
-    def _checked(self, action: Array) -> Array:
-        action = jnp.asarray(action, jnp.float32)
-        if action.shape != (self.action_size,):
+    def _checked(self, action: Any) -> Any:
+        """An action as float32; under jit nothing can be said about its entries."""
+        shape, xp = np.shape(action), jnp if isinstance(action, jax.core.Tracer) else np
+        if shape != (self.action_size,):
             parts = " + ".join(f"{v} {k}" for k, v in self.action_sizes.items())
             raise ActionError(
                 f"{self.name} takes actions of shape ({self.action_size},) ({parts}), got "
-                f"{action.shape}. Batches go through jax.vmap or agym_jax.wrappers.vectorize."
+                f"{shape}. Batches go through jax.vmap or agym_jax.wrappers.vectorize."
             )
-        if not isinstance(action, jax.core.Tracer) and not np.all(np.isfinite(action)):
+        if xp is np and not np.all(np.isfinite(action)):
             raise ActionError(f"{self.name} was given an action with NaN or infinity: {action}.")
-        # under jit nothing can be raised: such entries act as 0
-        return jnp.clip(jnp.where(jnp.isfinite(action), action, 0.0), -1.0, 1.0)
+        return xp.asarray(action, np.float32)
 
     # -- pictures --------------------------------------------------------------------------------
 
@@ -391,6 +292,9 @@ class AssistiveEnv(brax_envs.Env):
             self.task, self.robot, self.active, float(p.sex), float(p.stature), float(p.girth),
             float(p.limit_scale), pose, base, visual=True,
         )  # fmt: skip
+        if isinstance(self.task, Furnished):
+            for name, pos in self.task.props(state.task).items():
+                model.body(f"seat/{name}/{name}").pos = np.asarray(pos)
         data = mujoco.MjData(model)
         self.write_mujoco(state, data, model)
         return model, data
@@ -411,20 +315,21 @@ class AssistiveEnv(brax_envs.Env):
         ]
 
 
-def _strong(tree: Any) -> Any:
-    """No weak types: what ``reset`` and ``step`` return must compile once."""
-    return jax.tree.map(
-        lambda x: jax.lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x,
-        tree,
-    )
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class _Judged:
+    """What the task makes of a control step."""
+
+    task: Any
+    obs: Array  # (n_obs,)
+    reward: Array  # ()
+    done: Array  # ()
+    metrics: dict[str, Array]  # each ()
+    step: Array  # control steps done ()
 
 
-def _select(where: Array, new: Any, old: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(where, a, b), new, old)
+def _introduce_to_brax() -> None:
+    """Make ``isinstance(env, brax.envs.Env)`` hold. Not a base class: importing Brax imports MJX."""
+    from brax import envs
 
-
-def _blend(male: np.ndarray, female: np.ndarray, sex: Array) -> Array:
-    return jnp.asarray(male, jnp.float32) + sex * (female - male).astype(np.float32)
-
-
-__all__ = ["AssistiveEnv", "Placement", "State"]
+    envs.Env.register(AssistiveEnv)

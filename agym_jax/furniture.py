@@ -1,6 +1,8 @@
 """What people sit or lie on. Geometry: reference furniture.md; drawn in our own MJCF."""
 
-from agym_jax.spec import SeatSpec
+from dataclasses import replace
+
+from agym_jax.spec import Pose, Prop, SeatSpec
 
 WHEELCHAIR = SeatSpec(
     name="wheelchair",
@@ -15,3 +17,12 @@ BED = SeatSpec(
     geoms=("mattress_collision", "skirt_collision"),
     front=((0.75, -1.75, 2.75), (-0.45, 0.0, 0.8)),
 )
+
+WHEELCHAIR_UP_CLOSE = replace(WHEELCHAIR, front=((0.72, -1.45, 1.5), (-0.25, -0.25, 1.02)))
+"""Seen from nearer: hand, head and what is between them."""
+
+# AG v0.1 world_creation.py, feeding.py reset; the bowl's place is drawn about this one
+TABLE = Prop("table", "furniture/table.xml", Pose((0.35, -0.9, 0.0)))
+BOWL = Prop("bowl", "furniture/bowl.xml", Pose((-0.15, -0.55, 0.725)))
+
+WHEELCHAIR_AT_TABLE = replace(WHEELCHAIR_UP_CLOSE, props=(TABLE, BOWL))

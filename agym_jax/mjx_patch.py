@@ -4,7 +4,8 @@ On the CPU, jaxlib 0.10 fuses the quaternion products of a whole arm into one lo
 link computes its parent anew: kinematics of Jaco and a person then takes 430 ms instead of 0.7 ms
 for 8 worlds, and 37 s instead of 8 s to compile (2 cores; jaxlib 0.10.2, MJX 3.17). A barrier around
 each product, which changes no value, prevents that. ``tests/test_mjx_patch.py`` fails when MJX no
-longer has the function; delete both when kinematics is as fast without.
+longer has the function; delete both when kinematics is as fast without. ``mjx_physics`` imports MJX
+from here.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ import io
 import jax
 
 with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that warp-lang is not installed
+    from mujoco import mjx
     from mujoco.mjx._src import math as mjx_math
+
+__all__ = ["apply", "mjx"]
 
 _original = mjx_math.quat_mul
 

@@ -1,31 +1,72 @@
-"""The two implementations of MJX: which one runs, and how it is set up."""
+"""Physics: what the environment asks of it, and which implementations there are.
+
+``mjx_physics`` is MJX, in JAX or Warp, for any number of worlds; ``native`` is C MuJoCo, for one world
+on the CPU. Each is imported only when it is used: MJX alone takes seconds to import.
+"""
 
 from __future__ import annotations
 
-import copy
 import importlib.util
-from typing import Any
+from typing import Any, Protocol
 
 import jax
-import jax.numpy as jnp
-import mujoco
-import numpy as np
-from mujoco import mjx
+from jax import Array
 
+from agym_jax.control import Driver, Orders
 from agym_jax.errors import ImplementationError, did_you_mean
+from agym_jax.scene import Scene
+from agym_jax.sense import Motion, Touch
+from agym_jax.state import Episode
 
-IMPLEMENTATIONS = ("auto", "jax", "warp")
-WARP_CONTACTS_PER_WORLD = 24
-WARP_ROWS_PER_WORLD = 128
-WARP_ITERATIONS, WARP_LS_ITERATIONS = 20, 20
-"""Warp stops when it has converged, so generous limits cost nothing."""
-WARP_LOST = 0b1001111
-"""Bits of Warp's overflow flags that mean lost contacts or rows: NEFC, NJMAX_NNZ, BROADPHASE,
-NARROWPHASE, CONTACT_MATCH (not: iteration limits). MuJoCo Warp 3.17, types.OverflowType."""
+IMPLEMENTATIONS = ("auto", "jax", "warp", "native")
 
 
-def choose_impl(impl: str) -> str:
+class Physics(Protocol):
+    """Moves one world; knows nothing of tasks. Its ``data`` is what ``sense`` reads."""
+
+    traceable: bool
+    """Whether JAX can trace it (``jit``, ``vmap``); if not, only what is around it is compiled."""
+
+    def blank(self) -> Any:
+        """Data of a world in which nothing has begun."""
+        ...
+
+    def place(self, data: Any, episode: Episode, where: Array | None = None) -> Any:
+        """Everything at rest at the start of an episode, kinematics up to date.
+
+        Args:
+            data: of the world, or ``blank``.
+            episode: of the world.
+            where: if given, only where it holds; the rest of ``data`` stays as it is ().
+        """
+        ...
+
+    def simulate(self, data: Any, episode: Episode, orders: Orders) -> tuple[Any, Touch, Motion]:
+        """One control step; kinematics of the result are up to date.
+
+        Args:
+            data: of the world.
+            episode: of the world.
+            orders: to the joints, the same throughout the control step.
+
+        Returns:
+            Data after the control step, sums of the contact sensors over its physics steps, and the
+            way that tool and person went.
+        """
+        ...
+
+    def overflow(self, data: Any) -> Array:
+        """1.0 where contacts or constraints were lost because buffers were too small ()."""
+        ...
+
+
+def choose_impl(impl: str, one_world: bool = False) -> str:
     """The physics implementation that a name stands for on this machine.
+
+    Args:
+        impl: one of ``IMPLEMENTATIONS``.
+        one_world: whether only one world is stepped at a time, outside of ``jit`` and ``vmap``; on a CPU
+            ``"auto"`` is then C MuJoCo.
 
     Raises:
         ImplementationError: there is no such implementation, or Warp is not installed.
@@ -40,48 +81,42 @@ def choose_impl(impl: str) -> str:
             "impl='warp' needs the package warp-lang: pip install 'agym_jax[cuda]' "
             "(or use impl='jax', which runs everywhere)."
         )
-    if impl == "auto":
-        return "warp" if has_warp and jax.default_backend() == "gpu" else "jax"
-    return impl
+    if impl != "auto":
+        return impl
+    if one_world and jax.default_backend() == "cpu":
+        return "native"
+    return "warp" if has_warp and jax.default_backend() == "gpu" else "jax"
 
 
-def put_model(model: mujoco.MjModel, impl: str) -> mjx.Model:
-    """A MuJoCo model on the device, with the solver limits of the implementation."""
-    if impl != "warp":
-        return mjx.put_model(model, impl=impl)
-    model = copy.copy(model)
-    model.opt.iterations, model.opt.ls_iterations = WARP_ITERATIONS, WARP_LS_ITERATIONS
-    put = mjx.put_model(model, impl=impl)
-    option = put.opt._impl.replace(warn_overflow=WARP_LOST)  # no print for iteration limits
-    return put.replace(opt=put.opt.replace(_impl=option))
-
-
-def place_static_geoms(static: np.ndarray, model: mjx.Model, data: Any) -> Any:
-    """Put geoms that no joint moves where this world's bodies are.
-
-    MuJoCo Warp computes them once, in ``make_data``, from the shared model (``_geom_local_to_global``
-    in its ``smooth.py``), although ``body_pos``, ``body_quat`` and ``geom_pos`` differ from world to
-    world here. Call it once an episode, after ``mjx.kinematics``.
+def build_physics(
+    impl: str, scene: Scene, driver: Driver, frame_skip: int, num_worlds: int
+) -> Physics:
+    """The physics of a scene.
 
     Args:
-        static: geoms on bodies that are welded to the world (n,).
-        model: with this world's fields.
-        data: of one world, ``xpos`` and ``xmat`` up to date.
+        impl: from ``choose_impl``.
+        scene: what is in the world.
+        driver: of its joints.
+        frame_skip: physics steps of a control step.
+        num_worlds: how many are stepped together; sizes Warp's buffers.
     """
-    bodies = np.asarray(model.geom_bodyid)[static]
-    turn = data.xmat[bodies].reshape(-1, 3, 3)
-    pos = data.xpos[bodies] + jnp.einsum("nij,nj->ni", turn, model.geom_pos[static])
-    mat = turn @ _matrices(model.geom_quat[static])
-    xmat = data.geom_xmat.at[static].set(mat.reshape(-1, *data.geom_xmat.shape[1:]))
-    return data.replace(geom_xpos=data.geom_xpos.at[static].set(pos), geom_xmat=xmat)
+    if impl == "native":
+        from agym_jax.native import NativePhysics
+
+        return NativePhysics(scene, driver, frame_skip)
+    from agym_jax.mjx_physics import MjxPhysics
+
+    return MjxPhysics(impl, scene, driver, frame_skip, num_worlds)
 
 
-def _matrices(quats: jax.Array) -> jax.Array:
-    """Rotation matrices (n, 3, 3) of unit quaternions wxyz (n, 4)."""
-    w, x, y, z = jnp.moveaxis(quats, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return jnp.moveaxis(jnp.array(rows), -1, 0)
+def check_traceable(physics: Physics, *values: Any) -> None:
+    """Refuse to compile what cannot be compiled.
+
+    Raises:
+        ImplementationError: ``values`` are being traced, but the physics cannot be.
+    """
+    if not physics.traceable and any(isinstance(value, jax.core.Tracer) for value in values):
+        raise ImplementationError(
+            "impl='native' steps one world at a time, outside of jax.jit and jax.vmap (its pieces are "
+            "compiled already). Use impl='jax' or 'warp' for many worlds, or to compile a step."
+        )

@@ -33,3 +33,17 @@ def preference_terms(
         * (force_on_person - force_at_target),
         "preference_high_forces": -weights.high_forces * high,
     }
+
+
+def meal_terms(weights: Preferences, hits: jax.Array, speed: jax.Array) -> dict[str, jax.Array]:
+    """Weighted preference terms of meals, each at most 0.
+
+    Args:
+        weights: of the terms.
+        hits: particles that newly hit the person in this step ().
+        speed: sum over the particles that the mouth took in this step [m/s] ().
+    """
+    return {
+        "preference_food_hit": -weights.food_hit * hits,
+        "preference_food_velocities": -weights.food_velocities * speed,
+    }

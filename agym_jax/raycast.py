@@ -1,9 +1,6 @@
-"""Pictures without OpenGL: MuJoCo casts the rays, numpy shades what they hit.
+"""What rays meet: ``mj_multiRay`` with bounds that hold, and spheres that are not in the model.
 
-The scene (colours, lights, camera, what is visible) comes from ``mjv_updateScene``, which needs
-no OpenGL, so it follows MuJoCo's own rules. Primary and shadow rays are ``mj_multiRay`` calls,
-the shadow rays cast from the light so that they too have one origin. Edges are antialiased by
-casting four more rays through the pixels that differ from a neighbour.
+Geometry only: ``agym_jax.shading`` gives it colours and makes the picture.
 """
 
 from __future__ import annotations
@@ -16,12 +13,9 @@ import mujoco
 import numpy as np
 
 OPAQUE, CLEAR, HIDDEN = 0, 1, 5  # geom groups given to a private copy of the model
-INVISIBLE_ALPHA = 0.1  # geoms fainter than this are not drawn
+INVISIBLE_ALPHA = 0.1  # what is no more opaque than this is not drawn
+OPAQUE_ALPHA = 0.99  # what is no more opaque than this lets light through
 FAR = 1e6  # m
-EDGE = 10.0  # neighbours that differ by more grey levels than this are antialiased
-ROTATED_GRID = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))  # pixels
-SKY = np.array([[0.93, 0.95, 0.97], [0.52, 0.68, 0.86]])  # horizon and zenith, rgb
-CHECKER_CELL, CHECKER_CONTRAST = 0.5, 0.045  # m, part of the floor's brightness
 
 
 @dataclass(frozen=True)
@@ -40,41 +34,22 @@ class Marker:
 
 
 @dataclass(frozen=True)
-class Surface:
-    """How things look: one row for each geom of the model, then one for each marker.
-
-    Args:
-        rgba: colour, (n, 4) in 0..1.
-        gloss: emission, specular, shininess, (n, 3).
-        planes: for each plane drawn: geom, texture or -1, repeats across one metre (2,).
-    """
-
-    rgba: np.ndarray
-    gloss: np.ndarray
-    planes: tuple[tuple[int, int, np.ndarray], ...]
-
-
-@dataclass(frozen=True)
 class Scene:
-    """One instant, ready to be shot at with rays.
+    """One instant, ready to be shot at with rays. A row is a geom of the model, then a marker.
 
     Args:
         model: private copy; bounds are current and geom groups say opaque, clear or hidden.
         data: the caller's state.
-        view: MuJoCo's abstract scene: camera, lights.
-        surface: looks of geoms and markers.
+        alpha: opacity of each row, (n,) in 0..1.
         centers: marker centres, (k, 3) [m].
         radii: marker radii, (k,) [m].
-        sky: colours at the horizon and at the zenith, (2, 3) in 0..1.
     """
 
     model: mujoco.MjModel
     data: mujoco.MjData
-    view: mujoco.MjvScene
-    surface: Surface
+    alpha: np.ndarray
     centers: np.ndarray
     radii: np.ndarray
-    sky: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -82,7 +57,7 @@ class Hits:
     """What the rays met.
 
     Args:
-        what: row of ``Surface``, -1 where nothing was met, (n,).
+        what: row of ``Scene``, -1 where nothing was met, (n,).
         dist: distance along the ray, FAR where nothing was met, (n,) [m].
         normal: unit normal facing the ray's origin, (n, 3).
     """
@@ -92,7 +67,8 @@ class Hits:
     normal: np.ndarray
 
 
-def _length(vectors: np.ndarray) -> np.ndarray:
+def lengths(vectors: np.ndarray) -> np.ndarray:
+    """Euclidean norm of each row, (n,)."""
     return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
 
 
@@ -147,47 +123,27 @@ def refresh_bounds(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 
 def build_scene(
-    model: mujoco.MjModel, data: mujoco.MjData, view: mujoco.MjvScene, markers: Sequence[Marker]
+    model: mujoco.MjModel, data: mujoco.MjData, alpha: np.ndarray, markers: Sequence[Marker]
 ) -> Scene:
     """Collect what the rays need; nothing of the model's geometry is kept between calls.
 
     Args:
         model: the caller's model, not written.
         data: current kinematics.
-        view: updated by ``mjv_updateScene``.
+        alpha: opacity of each geom, 0 for those that are not drawn, (ngeom,) in 0..1.
         markers: extra spheres.
 
     Returns:
         The scene of this instant.
     """
     private = copy.copy(model)
-    n = model.ngeom + len(markers)
-    rgba, gloss, planes = np.zeros((n, 4)), np.tile([0.0, 0.5, 0.5], (n, 1)), []
-    private.geom_group[:] = HIDDEN
-    for geom in view.geoms[: view.ngeom]:
-        if geom.objtype != mujoco.mjtObj.mjOBJ_GEOM or not 0 <= geom.objid < model.ngeom:
-            continue
-        rgba[geom.objid] = geom.rgba
-        gloss[geom.objid] = geom.emission, geom.specular, geom.shininess
-        alpha = geom.rgba[3]
-        if alpha >= INVISIBLE_ALPHA:
-            private.geom_group[geom.objid] = OPAQUE if alpha > 0.99 else CLEAR
-        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
-            mat, texture, repeat = geom.matid, -1, np.zeros(2)
-            if mat >= 0:
-                texture = model.mat_texid[mat, mujoco.mjtTextureRole.mjTEXROLE_RGB]
-                repeat = model.mat_texrepeat[mat] / 2.0
-                if not model.mat_texuniform[mat]:
-                    half = model.geom_size[geom.objid, :2]
-                    repeat = repeat / np.where(half > 0, half, 1.0)
-            planes.append((geom.objid, int(texture), repeat))
-    for row, marker in enumerate(markers, start=model.ngeom):
-        rgba[row] = marker.rgba
-    surface = Surface(rgba, gloss, tuple(planes))
+    private.geom_group[:] = np.where(alpha > OPAQUE_ALPHA, OPAQUE, CLEAR)
+    private.geom_group[alpha <= INVISIBLE_ALPHA] = HIDDEN
     refresh_bounds(private, data)
     centers = np.array([m.pos for m in markers], dtype=float).reshape(-1, 3)
     radii = np.array([m.radius for m in markers], dtype=float)
-    return Scene(private, data, view, surface, centers, radii, sky_colors(model))
+    alpha = np.concatenate([alpha, [m.rgba[3] for m in markers]])
+    return Scene(private, data, alpha, centers, radii)
 
 
 def trace(scene: Scene, origin: np.ndarray, rays: np.ndarray, clear: bool) -> Hits:
@@ -210,183 +166,21 @@ def trace(scene: Scene, origin: np.ndarray, rays: np.ndarray, clear: bool) -> Hi
         what, dist, normal.reshape(-1), n, FAR,
     )  # fmt: skip
     dist[what < 0] = FAR
-    alphas = scene.surface.rgba[scene.model.ngeom :, 3]
-    for k, (center, radius, alpha) in enumerate(
-        zip(scene.centers, scene.radii, alphas, strict=True)
-    ):
-        if alpha < INVISIBLE_ALPHA or (alpha <= 0.99 and not clear):
+    unseen = INVISIBLE_ALPHA if clear else OPAQUE_ALPHA
+    first = scene.model.ngeom
+    for row, (center, radius) in enumerate(zip(scene.centers, scene.radii, strict=True), first):
+        if scene.alpha[row] <= unseen:
             continue
         to = center - origin
         along = rays @ to
         inside = radius**2 - to @ to + along**2
         near = np.where(inside > 0, along - np.sqrt(np.maximum(inside, 0)), -1.0)
         closer = (near > 0) & (near < dist)
-        what[closer], dist[closer] = scene.model.ngeom + k, near[closer]
+        what[closer], dist[closer] = row, near[closer]
         normal[closer] = (rays[closer] * near[closer, None] - to) / radius
     away = np.einsum("ij,ij->i", normal, rays) > 0
     normal[away] *= -1
     return Hits(what, dist, normal)
-
-
-def texels(model: mujoco.MjModel, texture: int) -> np.ndarray:
-    """A texture's pixels, rgb, (height, width, 3) uint8; a cube's six sides are stacked."""
-    height, width = model.tex_height[texture], model.tex_width[texture]
-    channels, start = model.tex_nchannel[texture], model.tex_adr[texture]
-    flat = model.tex_data[start : start + height * width * channels]
-    return flat.reshape(height, width, channels)[..., :3]
-
-
-def sky_colors(model: mujoco.MjModel) -> np.ndarray:
-    """Horizon and zenith of the model's skybox, or a clear day, (2, 3) in 0..1."""
-    boxes = np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX)
-    if not boxes.size:
-        return SKY
-    sides = texels(model, boxes[0]) / 255.0
-    width = sides.shape[1]
-    if len(sides) != 6 * width:
-        return SKY
-    sides = sides.reshape(6, width, width, 3)  # right, left, up, down, front, back
-    middle = slice(width // 2 - 1, width // 2 + 1)
-    return np.stack([sides[4, middle].mean(axis=(0, 1)), sides[2].mean(axis=(0, 1))])
-
-
-def sky(scene: Scene, rays: np.ndarray) -> np.ndarray:
-    """Colour where nothing is met: a gradient from the horizon to the zenith, (n, 3) in 0..1."""
-    t = np.clip(rays[:, 2:], 0.0, 1.0) ** 0.6
-    return scene.sky[0] * (1 - t) + scene.sky[1] * t
-
-
-def paint(scene: Scene, what: np.ndarray, points: np.ndarray, dist: np.ndarray) -> np.ndarray:
-    """Base colours of hits; planes get their texture or a faint checker, fading into the distance.
-
-    Args:
-        scene: for looks and poses.
-        what: rows of ``Surface``, (n,).
-        points: hit points, (n, 3) [m].
-        dist: distance from the eye, (n,) [m].
-
-    Returns:
-        rgb, (n, 3) in 0..1.
-    """
-    base = scene.surface.rgba[what, :3]
-    model = scene.model
-    for geom, texture, repeat in scene.surface.planes:
-        here = np.flatnonzero(what == geom)
-        local = points[here] - scene.data.geom_xpos[geom]
-        local = local @ scene.data.geom_xmat[geom].reshape(3, 3)[:, :2]
-        fade = np.exp(-dist[here, None] / 15.0)
-        if texture < 0:
-            odd = np.floor(local / CHECKER_CELL).astype(np.int64).sum(axis=1) & 1
-            base[here] *= 1 + CHECKER_CONTRAST * (2 * odd[:, None] - 1) * fade
-            continue
-        texture = texels(model, texture) / 255.0
-        at = (local * repeat * (1, -1) - 0.5) % 1.0
-        row, column = (at[:, ::-1] * texture.shape[:2]).astype(int).T
-        mean, seen = texture.mean(axis=(0, 1)), texture[row, column]
-        base[here] *= mean + (seen - mean) * fade
-    return base
-
-
-def lit(scene: Scene, light: mujoco.MjvLight, points: np.ndarray) -> np.ndarray:
-    """Whether the light reaches the points: rays from the light to each.
-
-    Args:
-        scene: what may be in the way; translucent things are not.
-        light: where from; a directional light is one far away.
-        points: (n, 3) [m].
-
-    Returns:
-        bool, (n,).
-    """
-    origin = np.asarray(light.pos, dtype=float)
-    if light.type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
-        away = 40.0 * max(1.0, scene.model.stat.extent)
-        origin = scene.model.stat.center - away * np.asarray(light.dir, dtype=float)
-    rays = points - origin
-    length = _length(rays)
-    hits = trace(scene, origin, rays / np.maximum(length, 1e-9)[:, None], clear=False)
-    return hits.dist > length - 1e-3 * max(1.0, scene.model.stat.extent)
-
-
-def shade(scene: Scene, eye: np.ndarray, rays: np.ndarray, hits: Hits) -> np.ndarray:
-    """Colours of hits by MuJoCo's lighting rules: ambient, Lambert, Blinn-Phong, shadows.
-
-    Args:
-        scene: looks and lights.
-        eye: origin of the rays, (3,) [m].
-        rays: unit directions, (n, 3).
-        hits: what they met.
-
-    Returns:
-        rgb, (n, 3) in 0..1.
-    """
-    out = sky(scene, rays)
-    met = np.flatnonzero(hits.what >= 0)
-    if not met.size:
-        return out
-    what, dist, normal, ray = hits.what[met], hits.dist[met], hits.normal[met], rays[met]
-    points = eye + ray * dist[:, None]
-    base = paint(scene, what, points, dist)
-    emission, specular, shininess = scene.surface.gloss[what].T
-    # The sky fills shadows from above a little more than the ground does from below.
-    fill = (0.04 * (1 + normal[:, 2]))[:, None]
-    color = base * (emission[:, None] + fill)
-    lights = scene.view.lights[: scene.view.nlight]
-    for light in lights:
-        if light.type == mujoco.mjtLightType.mjLIGHT_IMAGE:
-            continue
-        to = -np.asarray(light.dir, dtype=float)[None]
-        power = np.ones(len(points))
-        if light.type != mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
-            to = np.asarray(light.pos, dtype=float) - points
-            length = np.maximum(_length(to), 1e-9)
-            to = to / length[:, None]
-            a = light.attenuation
-            power = 1.0 / np.maximum(a[0] + a[1] * length + a[2] * length**2, 1e-6)
-        if light.type == mujoco.mjtLightType.mjLIGHT_SPOT:
-            cosine = np.clip(-to @ np.asarray(light.dir, dtype=float), 0.0, 1.0)
-            power *= (cosine >= np.cos(np.radians(light.cutoff))) * cosine**light.exponent
-        color += base * light.ambient * power[:, None]
-        to = np.broadcast_to(to, points.shape)
-        slope = np.einsum("ij,ij->i", normal, to)
-        here = np.flatnonzero((slope > 0) & (power > 1e-3))
-        if light.castshadow and here.size:
-            here = here[lit(scene, light, points[here])]
-        half = to[here] - ray[here]
-        half /= np.maximum(_length(half), 1e-9)[:, None]
-        glint = np.clip(np.einsum("ij,ij->i", normal[here], half), 0, 1)
-        glint = power[here] * specular[here] * glint ** (128 * shininess[here])
-        diffuse = (slope * power)[here, None]
-        color[here] += base[here] * (light.diffuse * diffuse) + light.specular * glint[:, None]
-    if not lights:
-        color += 0.6 * base
-    # Endless floors melt into the horizon.
-    far = (12.0 * max(1.0, scene.model.stat.extent)) ** 2
-    haze = (1 - np.exp(-(dist**2) / far))[:, None]
-    out[met] = np.clip(color, 0, 1) * (1 - haze) + scene.sky[0] * haze
-    return out
-
-
-def look(scene: Scene, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Colours seen along rays, through one layer of translucent things.
-
-    Args:
-        scene: what to look at.
-        eye: origin of the rays, (3,) [m].
-        rays: unit directions, (n, 3).
-
-    Returns:
-        rgb (n, 3) in 0..1, and the row of ``Surface`` that each ray met first (n,).
-    """
-    hits = trace(scene, eye, rays, clear=True)
-    color = shade(scene, eye, rays, hits)
-    alpha = np.where(hits.what >= 0, scene.surface.rgba[hits.what, 3], 1.0)
-    through = np.flatnonzero(alpha <= 0.99)
-    if through.size:
-        behind = shade(scene, eye, rays[through], trace(scene, eye, rays[through], clear=False))
-        a = alpha[through, None]
-        color[through] = a * color[through] + (1 - a) * behind
-    return color, hits.what
 
 
 def aim(
@@ -414,36 +208,4 @@ def aim(
     u = (middle + wide * (2 * x / width - 1)) / near
     v = (top + (bottom - top) * y / height) / near
     rays = forward + u[:, None] * np.cross(forward, up) + v[:, None] * up
-    return eye, rays / _length(rays)[:, None]
-
-
-def draw(scene: Scene, width: int, height: int) -> np.ndarray:
-    """The picture.
-
-    Args:
-        scene: from ``build_scene``.
-        width: pixels.
-        height: pixels.
-
-    Returns:
-        uint8, (height, width, 3).
-    """
-    y, x = (i.reshape(-1) + 0.5 for i in np.mgrid[:height, :width].astype(float))
-    color, what = look(scene, *aim(scene.view, x, y, width, height))
-    image = 255 * color.reshape(height, width, 3)
-    what = what.reshape(height, width)
-    edge = np.zeros((height, width), bool)
-    for axis in (0, 1):
-        jump = np.abs(np.diff(image, axis=axis)).max(axis=2) > EDGE
-        jump |= np.diff(what, axis=axis) != 0
-        before, after = [slice(None)] * 2, [slice(None)] * 2
-        before[axis], after[axis] = slice(None, -1), slice(1, None)
-        edge[tuple(before)] |= jump
-        edge[tuple(after)] |= jump
-    again = np.flatnonzero(edge)
-    if again.size:
-        xs = np.concatenate([x[again] + dx for dx, _ in ROTATED_GRID])
-        ys = np.concatenate([y[again] + dy for _, dy in ROTATED_GRID])
-        finer, _ = look(scene, *aim(scene.view, xs, ys, width, height))
-        image.reshape(-1, 3)[again] = 255 * finer.reshape(len(ROTATED_GRID), -1, 3).mean(axis=0)
-    return np.clip(image + 0.5, 0, 255).astype(np.uint8)
+    return eye, rays / lengths(rays)[:, None]

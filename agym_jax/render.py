@@ -21,7 +21,7 @@ from typing import Any, Protocol
 import mujoco
 import numpy as np
 
-from agym_jax import raycast
+from agym_jax import shading
 from agym_jax.errors import AgymError, UnknownNameError, did_you_mean
 from agym_jax.raycast import Marker
 
@@ -192,7 +192,7 @@ class _GLPictures:
 
 
 class _RaycastPictures:
-    """``agym_jax.raycast``."""
+    """``agym_jax.shading``."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int):
         self._model, self._size = model, (width, height)
@@ -200,7 +200,8 @@ class _RaycastPictures:
     def draw(
         self, data: mujoco.MjData, view: mujoco.MjvScene, markers: Sequence[Marker]
     ) -> np.ndarray:
-        return raycast.draw(raycast.build_scene(self._model, data, view, markers), *self._size)
+        stage = shading.set_stage(self._model, data, view, markers)
+        return shading.draw(stage, *self._size)
 
     def close(self) -> None:
         """Nothing to free."""

@@ -1,8 +1,8 @@
 """(task, robot, person) -> MuJoCo model and Index: the only reader of names.
 
 Parts are composed with ``MjSpec.attach`` under the prefixes ``robot/``, ``tool/`` (and ``tool2/`` in
-a second hand), ``person/``, ``seat/`` and ``mount/``. The physics model is lean: no visual geoms,
-hinges only where something moves. The same function with ``visual=True`` gives the model that
+a second hand), ``person/``, ``seat/``, ``seat/<prop>/`` and ``mount/``. The physics model is lean: no
+visual geoms, hinges only where something moves. The same function with ``visual=True`` gives the model that
 people look at, with ``solid=True`` the one in which everything has its collision shape.
 
 DEVIATION(contacts): contact is simulated between named primitives only: tool, hand, wrist and forearm
@@ -131,6 +131,8 @@ def compose(
         # one that belongs to the seat is drawn in the world, one that moves with the robot at its base
         mount = Pose(base.pos) if fixed_base is None else Pose()
         _attach(spec, _load(robot.mounts[task.seat.name]), mount, "mount/")
+    for prop in task.seat.props if visual or solid else ():
+        _attach(spec, _load(prop.model), prop.pose, f"seat/{prop.name}/")
     d = anthropometry.dims(sex, stature, girth)
     pose = pose or person_pose.typical(task.person, sex, stature, girth, limit_scale)
     rows = person_pose.rows(task.person, pose, d, moving, limit_scale, np)
@@ -147,7 +149,7 @@ def compose(
 def lean_links(task: Task, moving: tuple[str, ...]) -> tuple[str, ...]:
     """Links of the person that the physics model needs: those that move, may be touched or matter."""
     goals = {name for arm in task.goals for name in arm}
-    limbs = {"chest", *task.person.limbs, *goals}
+    limbs = {"chest", *task.person.limbs, *task.person.links, *goals}
     limbs |= {f"{task.person.arm}_{x}" for x in ("upper_arm", "forearm", "hand")}
     return tuple(x.name for x in body.LINKS if body.is_free(x, moving) or x.name in limbs)
 

@@ -11,6 +11,7 @@ robot itself are left out; AG looks for the last only.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -114,8 +115,13 @@ def search(
         key, sub = jax.random.split(key)
         q, distance, rotation, score = solve(sub, to_base(goals.start[:, a]), turn, 0.3, restarts)
         good = (distance < REACHED) & (rotation < REACHED_ROTATION)
-        best = _one_family(q, np.where(good, score, -1.0), chain)
         rows = np.arange(n)
+        value = np.where(good, score, -1.0)
+        if len(chains) == 1:
+            free = partial(_free_share, Clearance(task, robot), goals.base_pos, quats, q)
+            best = _free_family(q, value, chain, free)
+        else:  # whether an arm is free depends on the other one too
+            best = _one_family(q, value, chain)
         angles.append(q[rows, best])
         ok &= good[rows, best]
         scores += np.where(good[rows, best], score[rows, best], 0.0)
@@ -252,8 +258,7 @@ def _one_family(q: np.ndarray, score: np.ndarray, chain: kinematics.Chain) -> np
     fine = (score > 0) & (score >= NEARLY * score.max(axis=1, keepdims=True))
     if not fine.any():
         return np.argmax(score, axis=1)
-    free = chain.upper - chain.lower > 2 * np.pi + 0.1
-    wrap = lambda d: np.where(free, (d + np.pi) % (2 * np.pi) - np.pi, d)  # noqa: E731
+    wrap = partial(_wrap, chain=chain)
     pool = q[fine]
     pick = np.random.default_rng(0).permutation(len(pool))
     seeds, others = pool[pick[:256]], pool[pick[-2048:]]
@@ -261,6 +266,54 @@ def _one_family(q: np.ndarray, score: np.ndarray, chain: kinematics.Chain) -> np
     middle = seeds[np.argmax(alike.sum(axis=1))]
     apart = np.linalg.norm(wrap(q - middle), axis=-1)
     return np.argmin(np.where(fine, apart, np.inf), axis=1)
+
+
+def _wrap(difference: np.ndarray, chain: kinematics.Chain) -> np.ndarray:
+    """Differences of angles (..., n), those of joints that turn freely the short way round [rad]."""
+    free = chain.upper - chain.lower > 2 * np.pi + 0.1
+    return np.where(free, (difference + np.pi) % (2 * np.pi) - np.pi, difference)
+
+
+def _free_family(
+    q: np.ndarray, score: np.ndarray, chain: kinematics.Chain, free: Callable[[np.ndarray], float]
+) -> np.ndarray:
+    """As ``_one_family``, but a family that mostly touches something gives way to the next one.
+
+    Args:
+        q: solutions [rad] (N, restarts, n).
+        score: of each, -1 where it does not reach (N, restarts).
+        chain: for the limits.
+        free: share of free poses when each candidate takes the given solution (N,).
+
+    Returns:
+        (N,) index of the solution, of the first family that is free for at least half of the
+        candidates, else of the one that is free most often.
+    """
+    rows, left = np.arange(len(q)), score.copy()
+    best, most = _one_family(q, left, chain), -1.0
+    while (left > 0).any() and most < 0.5:
+        pick = _one_family(q, left, chain)
+        reached = left[rows, pick] > 0
+        share = free(np.where(reached, pick, -1))
+        if share > most:
+            best, most = np.where(reached, pick, best), share
+        alike = np.abs(_wrap(q - q[rows, pick][:, None], chain)).max(axis=-1) < 1.0
+        left = np.where(alike & reached[:, None], -1.0, left)
+    return best
+
+
+def _free_share(
+    clearance: Clearance, pos: np.ndarray, quat: np.ndarray, q: np.ndarray, pick: np.ndarray
+) -> float:
+    """Share of the picked solutions (N,), -1 for none, that touch nothing: of 24 of them."""
+    some = np.random.default_rng(0).permutation(np.flatnonzero(pick >= 0))[:24]
+    return float(np.mean([
+        _is_free(clearance, Placement(pos[i], quat[i], q[i, pick[i]])) for i in some
+    ]))  # fmt: skip
+
+
+def _is_free(clearance: Clearance, place: Placement) -> bool:
+    return clearance.inside(place) > CLEARANCE and clearance.outside(place) > CLEARANCE
 
 
 def _solve(chain, key, pos, rot, weight, restarts):
@@ -307,7 +360,7 @@ def _free_rows(
     rows: list[int] = []
     for i in order:
         place = jax.tree.map(lambda x: x[i], candidates)  # noqa: B023
-        if clearance.inside(place) > CLEARANCE and clearance.outside(place) > CLEARANCE:
+        if _is_free(clearance, place):
             rows.append(int(i))
             if len(rows) == size:
                 break

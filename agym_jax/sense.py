@@ -1,6 +1,7 @@
-"""What one control step shows: the only reader of ``mjx.Data``.
+"""What one control step shows: the only reader of a simulator's data.
 
-Works on one world of ``mjx.Data`` and, because the field names are the same, on C ``MjData``.
+Works on one world of ``mjx.Data`` and, because the field names are the same, of ``native.NativeData``
+or C ``MjData``.
 Forces are normal forces of contact sensors, averaged over the physics steps of a control step.
 
 DEVIATION(force-mean): contact forces are means over the physics steps of a control step, not
@@ -14,6 +15,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from agym_jax.geometry import capsule_gap
@@ -58,6 +60,17 @@ class ToolSensed:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class Motion:
+    """Poses at every physics step of a control step: n steps, n + 1 moments."""
+
+    tool_pos_w: Array  # tip of the first tool [m]                          (n + 1, 3)
+    tool_quat_w: Array  # wxyz                                              (n + 1, 4)
+    link_pos_w: dict[str, Array]  # link of the person -> its joint [m]     (n + 1, 3)
+    link_rot_w: dict[str, Array]  # link -> rotation matrix                 (n + 1, 3, 3)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class Sensed:
     """One control step, in world coordinates; everything a task may know."""
 
@@ -70,6 +83,7 @@ class Sensed:
     link_rot_w: dict[str, Array]  # link -> rotation matrix                 (3, 3)
     link_quat_w: dict[str, Array]  # link -> the same, wxyz                 (4,)
     dims: Dims  # sizes of the person
+    motion: Motion  # during the control step
 
     @property
     def tool(self) -> ToolSensed:
@@ -114,33 +128,62 @@ def add_touch(index: Index, touch: Touch, sensordata: Array) -> Touch:
         touch: the sum so far.
         sensordata: of ``Data`` (nsensordata,).
     """
+    return jax.tree.map(jnp.add, touch, read_touch(index, sensordata))
 
-    def add(tool: ToolIndex, t: ToolTouch) -> ToolTouch:
-        force = jnp.abs(sensordata[tool.on_person])
-        pos = sensordata[tool.on_person[:, None] + jnp.arange(3, 6)]
-        return ToolTouch(
-            force=t.force + force,
-            moment=t.moment + force[:, None] * pos,
-            seat=t.seat + jnp.sum(jnp.abs(sensordata[tool.on_seat])),
-        )
 
-    return Touch(
-        tools=tuple(add(i, t) for i, t in zip(index.tools, touch.tools, strict=True)),
-        robot_person=touch.robot_person + jnp.sum(jnp.abs(sensordata[index.robot_person])),
+def read_touch(index: Index, sensordata: Any, xp: Any = jnp) -> Touch:
+    """The contact sensors of one physics step.
+
+    Args:
+        index: sensor addresses.
+        sensordata: of ``Data`` (..., nsensordata).
+        xp: numpy or jax.numpy.
+
+    Returns:
+        The fields of ``Touch``, each with the leading axes of ``sensordata``.
+    """
+
+    def total(sensors: np.ndarray) -> Any:
+        return xp.sum(xp.abs(sensordata[..., sensors]), axis=-1)
+
+    def read(tool: ToolIndex) -> ToolTouch:
+        force = xp.abs(sensordata[..., tool.on_person])
+        pos = sensordata[..., tool.on_person[:, None] + np.arange(3, 6)]
+        return ToolTouch(force=force, moment=force[..., None] * pos, seat=total(tool.on_seat))
+
+    return Touch(tuple(read(tool) for tool in index.tools), total(index.robot_person))
+
+
+def moment(index: Index, data: Any, xp: Any = jnp) -> Motion:
+    """One moment of a motion: no leading axis."""
+    tool, bodies = index.tools[0], dict(zip(index.links, index.person_body, strict=True))
+    xpos, xmat = xp.array(data.xpos), xp.array(data.xmat).reshape(-1, 3, 3)
+    return Motion(
+        tool_pos_w=xp.array(data.site_xpos)[tool.tip],
+        tool_quat_w=_quat_mul(xp.array(data.xquat)[tool.body], tool.quat, xp),
+        link_pos_w={k: xpos[b] for k, b in bodies.items()},
+        link_rot_w={k: xmat[b] for k, b in bodies.items()},
     )
 
 
-def sense(index: Index, data: Any, touch: Touch, n_steps: int, dims: Dims, sizes: Any) -> Sensed:
+def at_rest(index: Index, data: Any, n_steps: int) -> Motion:
+    """Nothing moves for n physics steps."""
+    still = lambda x: jnp.broadcast_to(jnp.asarray(x, jnp.float32), (n_steps + 1, *x.shape))  # noqa: E731
+    return jax.tree.map(still, moment(index, data))
+
+
+def sense(index: Index, data: Any, touch: Touch, motion: Motion, dims: Dims, sizes: Any) -> Sensed:
     """Read one world.
 
     Args:
         index: of the scene.
         data: ``mjx.Data`` of one world (or ``MjData``) whose kinematics are up to date.
-        touch: sums over the control step.
-        n_steps: physics steps in those sums.
+        touch: sums over the n physics steps of the control step.
+        motion: during them.
         dims: sizes of the person.
         sizes: geom sizes of the model (ngeom, 3), the person's own in their rows.
     """
+    n_steps = len(motion.tool_pos_w) - 1
     xpos, xmat = jnp.asarray(data.xpos), jnp.asarray(data.xmat).reshape(-1, 3, 3)
     bodies = dict(zip(index.links, index.person_body, strict=True))
     return Sensed(
@@ -156,6 +199,7 @@ def sense(index: Index, data: Any, touch: Touch, n_steps: int, dims: Dims, sizes
         link_rot_w={name: xmat[b] for name, b in bodies.items()},
         link_quat_w={name: jnp.asarray(data.xquat)[b] for name, b in bodies.items()},
         dims=dims,
+        motion=motion,
     )
 
 
@@ -185,8 +229,8 @@ def _sense_tool(
     )
 
 
-def _quat_mul(a: Array, b: Any) -> Array:
+def _quat_mul(a: Array, b: Any, xp: Any = jnp) -> Array:
     """Product of quaternions wxyz."""
-    b = jnp.asarray(b, jnp.float32)
-    vector = a[0] * b[1:] + b[0] * a[1:] + jnp.cross(a[1:], b[1:])
-    return jnp.concatenate([(a[0] * b[0] - jnp.dot(a[1:], b[1:]))[None], vector])
+    b = xp.asarray(b, xp.float32)
+    vector = a[0] * b[1:] + b[0] * a[1:] + xp.cross(a[1:], b[1:])
+    return xp.concatenate([(a[0] * b[0] - xp.dot(a[1:], b[1:]))[None], vector])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import jax
 
@@ -149,6 +149,15 @@ class ToolSpec:
 
 
 @dataclass(frozen=True)
+class Prop:
+    """A thing that stands near the seat: seen, and kept clear of by start placements, not felt."""
+
+    name: str  # of its file's root body
+    model: str  # asset
+    pose: Pose = Pose()  # in the world
+
+
+@dataclass(frozen=True)
 class SeatSpec:
     """What the person sits or lies on, in world coordinates."""
 
@@ -158,6 +167,7 @@ class SeatSpec:
     friction: float = 0.5  # against the person
     front: tuple[Vec3, Vec3] | None = None  # where the camera "front" stands and looks, world [m]
     bears_upper_arm: bool = False  # whether the upper arm may rest on it, not only forearm and hand
+    props: tuple[Prop, ...] = ()  # what stands around it
 
 
 Stillness = Literal["hold", "limp", "frozen", "welded"]
@@ -181,6 +191,7 @@ class PersonSpec:
     still: Stillness = "hold"  # what a person who does not act does
     postures: str = ""  # bank of settled postures that replaces ``pose``, see person.posture
     pose_range: Mapping[str, float] = field(default_factory=dict)  # joint -> uniform draw +- [rad]
+    links: tuple[str, ...] = ()  # further links whose poses the task asks for
 
     def moving(self, active: bool) -> tuple[str, ...]:
         """Joints that are hinges in the scene, in action order."""
@@ -194,6 +205,8 @@ class Preferences:
     velocity: float = 0.25
     force_nontarget: float = 0.01
     high_forces: float = 0.05
+    food_hit: float = 1.0
+    food_velocities: float = 1.0
 
 
 class Task(Protocol):
@@ -280,4 +293,13 @@ class Task(Protocol):
 
     def markers(self, state: Any) -> list[Any]:
         """Points to draw: world positions [m] (3,) or (n, 3), radius [m], colour; NaN is not drawn."""
+        ...
+
+
+@runtime_checkable
+class Furnished(Protocol):
+    """What a task has besides if some of its seat's props stand elsewhere in every episode."""
+
+    def props(self, state: Any) -> dict[str, jax.Array]:
+        """Name of a prop -> where it stands, world [m] (3,)."""
         ...

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from agym_jax.person.body import BodyFields
 from agym_jax.person.draw import Person
@@ -60,3 +61,16 @@ class State:
     def pipeline_state(self) -> Any:
         """Brax's name for ``data``."""
         return self.data
+
+
+def strong(tree: Any) -> Any:
+    """No weak types: what ``reset`` and ``step`` return must compile once."""
+    return jax.tree.map(
+        lambda x: jax.lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x,
+        tree,
+    )
+
+
+def select(where: jax.Array, new: Any, old: Any) -> Any:
+    """Of two trees, the new one where it holds."""
+    return jax.tree.map(lambda a, b: jnp.where(where, a, b), new, old)

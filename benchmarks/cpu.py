@@ -3,7 +3,9 @@
     python -m benchmarks.cpu --json benchmarks/results/cpu.jsonl
 
 "Cold" is a fresh process with an empty compilation cache, "warm" a fresh process with the cache that
-the cold one filled. Times count from the start of the process, imports included.
+the cold one filled. Times count from the start of the process, Python's own start and imports
+included. One world is stepped as people do who look at it, through Gymnasium, on C MuJoCo; the fields
+that begin with ``mjx`` are one world on MJX-JAX, whose ``reset`` and ``step`` are compiled whole.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,23 +25,38 @@ import tyro
 
 from agym_jax.errors import AgymError
 
-FIRST_STEP = """
-import time
-start = time.perf_counter()
-import json, sys
+STEPS = 1000  # after the first, for the speed
+NATIVE = """
+import sys, time
+import gymnasium, numpy as np, agym_jax
+began, name, steps = float(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+env = gymnasium.make(name)
+assert env.unwrapped.core.impl == "native"
+env.reset(seed=0)
+at_reset = time.time()
+action = np.full(env.action_space.shape, 0.1, np.float32)
+env.step(action)
+at_step = time.time()
+for i in range(steps):
+    if env.step(action)[3]:
+        env.reset()
+print([at_reset - began, at_step - began, steps / (time.time() - at_step)])
+"""
+MJX = """
+import sys, time
 import jax, jax.numpy as jnp, agym_jax
-env = agym_jax.make(sys.argv[1], impl="jax")
-reset, step = jax.jit(env.reset), jax.jit(env.step)
+began, name, steps = float(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+env = agym_jax.make(name, impl="jax")
+reset, step = env.programs()
 state = jax.block_until_ready(reset(jax.random.PRNGKey(0)))
-at_reset = time.perf_counter()
+at_reset = time.time()
 action = jnp.full(env.action_size, 0.1)
 state = jax.block_until_ready(step(state, action))
-at_step = time.perf_counter()
-for _ in range(300):
+at_step = time.time()
+for _ in range(steps):
     state = step(state, action)
 jax.block_until_ready(state)
-speed = 300 / (time.perf_counter() - at_step)
-print(json.dumps([at_reset - start, at_step - start, speed]))
+print([at_reset - began, at_step - began, steps / (time.time() - at_step)])
 """
 BATCH = """
 import json, sys
@@ -74,27 +92,44 @@ def _child(code: str, *arguments: str, cache: str) -> Any:
     return json.loads(done.stdout.strip().splitlines()[-1])
 
 
-def measure(env_name: str, num_envs: int) -> dict[str, Any]:
-    """All three processes, one after the other; returns the fields of the result line."""
+def measure_one(code: str, env_name: str) -> dict[str, float]:
+    """One world, cold and warm.
+
+    Args:
+        code: of a process that prints the seconds to the first state and to the first step, and steps/s.
+        env_name: environment id.
+    """
     with tempfile.TemporaryDirectory() as cache:
-        cold = _child(FIRST_STEP, env_name, cache=cache)
-        warm = _child(FIRST_STEP, env_name, cache=cache)
-    batch = _child(BATCH, env_name, str(num_envs), cache="off")
+        cold, warm = (
+            _child(code, repr(time.time()), env_name, str(STEPS), cache=cache) for _ in range(2)
+        )
     return {
-        "env": env_name,
-        "impl": "jax",
         "cold_reset_seconds": round(cold[0], 2),
         "cold_step_seconds": round(cold[1], 2),
         "warm_reset_seconds": round(warm[0], 2),
         "warm_step_seconds": round(warm[1], 2),
         "single_steps_per_s": round(warm[2]),
+    }
+
+
+def measure(env_name: str, num_envs: int) -> dict[str, Any]:
+    """All processes, one after the other; returns the fields of the result line."""
+    load = os.getloadavg()[0]
+    one = measure_one(NATIVE, env_name)
+    mjx = measure_one(MJX, env_name)
+    batch = _child(BATCH, env_name, str(num_envs), cache="off")
+    counted = (
+        "steps_per_s", "steps_per_s_min", "steps_per_s_max", "compile_seconds", "nan", "overflow",
+    )  # fmt: skip
+    return {
+        "env": env_name,
+        "impl": "native",
+        **one,
+        **{f"mjx_{name}": value for name, value in mjx.items()},
         "num_envs": num_envs,
-        "steps_per_s": batch["steps_per_s"],
-        "steps_per_s_min": batch["steps_per_s_min"],
-        "steps_per_s_max": batch["steps_per_s_max"],
-        "compile_seconds": batch["compile_seconds"],
-        "nan": batch["nan"],
-        "overflow": batch["overflow"],
+        "batch_impl": "jax",
+        **{name: batch[name] for name in counted},
+        "load_before": round(load, 2),
     }
 
 

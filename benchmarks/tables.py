@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -50,85 +51,130 @@ def about(lines: Sequence[Line]) -> str:
     return f"{', '.join(kinds)}; commit {', '.join(commits)}."
 
 
-def rows(head: str, body: Sequence[str]) -> str:
-    """A Markdown table."""
-    return "\n".join([head, "|" + "---|" * (head.count("|") - 1), *body])
+def table(
+    lines: Sequence[Line],
+    columns: Mapping[str, Callable[[Line], Any]],
+    order: Callable[[Line], Any],
+    note: str = "",
+) -> str:
+    """A Markdown table, and below it what holds for all lines.
+
+    Args:
+        lines: results.
+        columns: headings, and what a line has under each.
+        order: what rows are sorted by.
+        note: what to say before the device and the commits.
+    """
+    if not lines:
+        return NOTHING
+    cells = [columns, *([cell(x) for cell in columns.values()] for x in sorted(lines, key=order))]
+    head, *body = (f"| {' | '.join(map(str, row))} |" for row in cells)
+    return "\n".join(
+        [head, "|" + "---|" * len(columns), *body, "", f"{note} {about(lines)}".strip()]
+    )
+
+
+def several(values: Iterable[Any]) -> str:
+    """Each value once."""
+    return ", ".join(map(str, sorted(set(values))))
 
 
 def throughput(folder: Path = RESULTS) -> str:
     """Steps per second of the whole environment."""
+    columns = {
+        "environment": lambda x: x["env"],
+        "physics": lambda x: x["impl"],
+        "worlds": lambda x: f"{x['num_envs']:,}",
+        "control steps/s, median (range)": lambda x: (
+            f"**{x['steps_per_s']:,}** ({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,})"
+        ),
+        "start-up": lambda x: f"{x['compile_seconds'] + x['first_call_seconds']:.0f} s",
+        "NaN": lambda x: x["nan"],
+    }
     lines = read_results("throughput", ("env", "impl", "num_envs"), folder)
-    if not lines:
-        return NOTHING
-    body = [
-        f"| {x['env']} | {x['impl']} | {x['num_envs']:,} | **{x['steps_per_s']:,}** "
-        f"({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,}) "
-        f"| {x['compile_seconds'] + x['first_call_seconds']:.0f} s | {x['nan']} |"
-        for x in sorted(lines, key=lambda x: (x["env"], x["impl"], x["num_envs"]))
-    ]
-    head = "| environment | physics | worlds | control steps/s, median (range) | start-up | NaN |"
-    return rows(head, body) + f"\n\nRandom actions, resets included. {about(lines)}"
+    by = itemgetter("env", "impl", "num_envs")
+    return table(lines, columns, by, "Random actions, resets included.")
 
 
 def cpu(folder: Path = RESULTS) -> str:
     """Latency and speed on a CPU."""
     lines = read_results("cpu", ("env",), folder)
-    if not lines:
-        return NOTHING
-    body = [
-        f"| {x['env']} | {x['cold_step_seconds']:.0f} s | {x['warm_step_seconds']:.0f} s "
-        f"| {x['single_steps_per_s']:,} | {x['steps_per_s']:,} |"
-        for x in sorted(lines, key=lambda x: x["env"])
-    ]
-    worlds = ", ".join(str(n) for n in sorted({x["num_envs"] for x in lines}))
-    head = "| environment | first step, cold | first step, warm cache | steps/s, 1 world "
-    cores = ", ".join(str(n) for n in sorted({x["device"]["cpu_cores"] for x in lines}))
-    table = rows(head + f"| steps/s, {worlds} worlds |", body)
-    return table + f"\n\nFrom the start of the process; {cores} cores. {about(lines)}"
+    worlds = several(x["num_envs"] for x in lines)
+    cores = several(x["device"]["cpu_cores"] for x in lines)
+    columns = {
+        "environment": lambda x: x["env"],
+        "first step, cold": lambda x: f"{x['cold_step_seconds']:.0f} s",
+        "first step, warm cache": lambda x: f"{x['warm_step_seconds']:.0f} s",
+        "steps/s, 1 world": lambda x: f"{x['single_steps_per_s']:,}",
+        f"steps/s, {worlds} worlds": lambda x: f"{x['steps_per_s']:,}",
+    }
+    note = f"From the start of the process; {cores} cores."
+    return table(lines, columns, itemgetter("env"), note)
 
 
 def nan(folder: Path = RESULTS) -> str:
     """The search for NaN."""
+    columns = {
+        "environment": lambda x: x["env"],
+        "physics": lambda x: x["impl"],
+        "random steps": lambda x: f"{x['total_steps']:,}",
+        "NaN": lambda x: x["nan"],
+        "force on the person, 99.99 %": lambda x: f"{x['force/on_person/p99.99']:.1f} N",
+        "maximum": lambda x: f"{x['force/on_person/max']:.1f} N",
+    }
     lines = read_results("nan", ("env", "impl"), folder)
-    if not lines:
-        return NOTHING
-    body = [
-        f"| {x['env']} | {x['impl']} | {x['total_steps']:,} | {x['nan']} "
-        f"| {x['force/on_person/p99.99']:.1f} N | {x['force/on_person/max']:.1f} N |"
-        for x in sorted(lines, key=lambda x: (x["env"], x["impl"]))
-    ]
-    head = "| environment | physics | random steps | NaN | force on the person, 99.99 % | maximum |"
-    return rows(head, body) + f"\n\n{about(lines)}"
+    return table(lines, columns, itemgetter("env", "impl"))
 
 
 def policies(folder: Path = RESULTS) -> str:
-    """What shipped policies achieve."""
+    """What shipped policies achieve: the mode's figures, and the sampled policy's success."""
     lines = read_results("evaluation", ("env", "policy"), folder)
-    if not lines:
-        return NOTHING
-    body = [
-        f"| {x['env']} | {Path(x['policy']).stem if '/' in x['policy'] else x['policy']} "
-        f"| {x.get('seed', '')} | {x['episodes']} | {x['return_mean']:.1f} ± {x['return_std']:.1f} "
-        f"| {x['force_mean']:.2f} N "
-        f"| {x['success']:.0%} ({x['success_low']:.0%} to {x['success_high']:.0%}) |"
-        for x in sorted(lines, key=lambda x: (x["env"], x.get("seed", 0), -x["success"]))
-    ]
-    head = "| environment | policy | seed | episodes | return | mean force on the person "
-    return rows(head + "| success (95 % interval) |", body) + f"\n\n{about(lines)}"
+    sampled = {x["env"]: x for x in lines if x["policy"] == "sampled"}
+
+    def success(x: Line) -> str:
+        return f"{x['success']:.0%} ({x['success_low']:.0%} to {x['success_high']:.0%})"
+
+    columns = {
+        "environment": lambda x: x["env"],
+        "return": lambda x: f"{x['return_mean']:.1f} ± {x['return_std']:.1f}",
+        "mean force on the person": lambda x: f"{x['force_mean']:.2f} N",
+        "success (95 % interval)": success,
+        "success, sampled": lambda x: success(sampled[x["env"]]) if x["env"] in sampled else "",
+    }
+    mode = [x for x in lines if x["policy"] == "mode"]
+    episodes = several(f"{x['episodes']:,}" for x in mode)
+    return table(mode, columns, itemgetter("env"), f"{episodes} episodes, mode of the policy;")
+
+
+def reach(folder: Path = RESULTS) -> str:
+    """How many itches a robot can touch at all."""
+    columns = {
+        "environment": lambda x: x["env"],
+        "itches that can be touched": lambda x: f"{x['reachable']:.0%}",
+        "on the quarter of the limb that faces the trunk": lambda x: f"{x['reachable_inner']:.0%}",
+    }
+    lines = read_results("reach", ("env",), folder)
+    return table(lines, columns, itemgetter("env"))
+
+
+def _sharing(line: Line) -> str:
+    """How many trainings ran on the GPU at once, if it was more than one."""
+    return f", {line['sharing'].split()[0]} on one GPU" if "sharing" in line else ""
 
 
 def training(folder: Path = RESULTS) -> str:
     """What training costs."""
+    columns = {
+        "environment": lambda x: x["env"],
+        "physics": lambda x: x["impl"],
+        "worlds": lambda x: f"{x['num_envs']:,}",
+        "steps": lambda x: f"{x['steps']:,}",
+        "start": lambda x: x["start"],
+        "wall time, all in": lambda x: f"{x['wall_s']:.0f} s{_sharing(x)}",
+        "success at the end": lambda x: f"{x['success']:.0%}",
+    }
     lines = read_results("training", ("env", "impl"), folder)
-    if not lines:
-        return NOTHING
-    body = [
-        f"| {x['env']} | {x['impl']} | {x['num_envs']:,} | {x['steps']:,} | {x['start']} "
-        f"| {x['wall_s']:.0f} s{', 4 on one GPU' if 'sharing' in x else ''} | {x['success']:.0%} |"
-        for x in sorted(lines, key=lambda x: (x["env"], x["impl"], x["seed"]))
-    ]
-    head = "| environment | physics | worlds | steps | start | wall time, all in | success at the end |"
-    return rows(head, body) + f"\n\n{about(lines)}"
+    return table(lines, columns, itemgetter("env", "impl", "seed"))
 
 
 TABLES: dict[str, Callable[..., str]] = {
@@ -136,6 +182,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "throughput": throughput,
     "policies": policies,
     "nan": nan,
+    "reach": reach,
     "cpu": cpu,
 }
 

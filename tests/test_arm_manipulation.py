@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from agym_jax.observe import values
 from agym_jax.person import anthropometry
 from agym_jax.robots import ROBOTS
 from agym_jax.sense import Sensed, ToolSensed
@@ -55,6 +56,7 @@ def sensed(*tools: dict[str, Any], links: dict[str, Any] | None = None, **change
         link_pos_w=changed(LINKS, links or {}),
         link_rot_w={k: jnp.eye(3) for k in LINKS},
         link_quat_w={k: jnp.array([1.0, 0, 0, 0]) for k in LINKS},
+        motion=None,
         dims=anthropometry.dims(0.0),
         **changed(REST, changes),
     )
@@ -203,8 +205,8 @@ def test_observations_of_two_arms():
         "waist": "waist", "hips": "hips",
     }  # fmt: skip
     for name, link in names.items():
-        expected.append((getattr(robot, f"{name}_pos_torso"), LINKS[link] - torso))
-        expected.append((getattr(person, f"{name}_pos_person"), LINKS[link] - chest))
+        expected.append((values(robot)[f"{name}_pos_torso"], LINKS[link] - torso))
+        expected.append((values(person)[f"{name}_pos_person"], LINKS[link] - chest))
     for found, value in expected:
         np.testing.assert_allclose(found, value, atol=1e-6)
 

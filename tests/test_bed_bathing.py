@@ -55,6 +55,7 @@ def sensed(
         link_pos_w=changed(LINKS, links or {}),
         link_rot_w=changed(ROTS, turns or {}),
         link_quat_w={k: jnp.array([1.0, 0, 0, 0]) for k in LINKS},
+        motion=None,
         dims=jax.tree.map(jnp.float32, anthropometry.dims(sex)),
         **changed(REST, changes),
     )
@@ -235,14 +236,14 @@ def test_observations_are_differences_along_world_axes():
     arm = [LINKS[f"right_{x}"] for x in ("upper_arm", "forearm", "hand")]
     expected = [
         (robot.tool_pos_torso, tip - torso), (robot.tool_quat_w, AIR["quat_w"]),
-        (robot.arm_angles, np.arange(7)), (robot.shoulder_pos_torso, arm[0] - torso),
-        (robot.elbow_pos_torso, arm[1] - torso), (robot.wrist_pos_torso, arm[2] - torso),
-        (robot.tool_force, 3.0),
+        (robot.arm_angles, np.arange(7)), (robot.tool_force, 3.0),
         (person.tool_pos_person, tip - chest), (person.tool_quat_w, AIR["quat_w"]),
-        (person.person_angles, np.arange(10)), (person.shoulder_pos_person, arm[0] - chest),
-        (person.elbow_pos_person, arm[1] - chest), (person.wrist_pos_person, arm[2] - chest),
+        (person.person_angles, np.arange(10)),
         (person.force_on_person, 2.5), (person.tool_on_person, 2.0),
     ]  # fmt: skip
+    for joint, link in zip(("shoulder", "elbow", "wrist"), arm, strict=True):
+        expected.append((getattr(robot.helped_arm, f"{joint}_pos_torso"), link - torso))
+        expected.append((getattr(person.helped_arm, f"{joint}_pos_person"), link - chest))
     for found, value in expected:
         np.testing.assert_allclose(found, value, atol=1e-6)
     # nobody is told which points are left

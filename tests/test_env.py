@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax import envs as brax_envs
 from brax.envs.wrappers import training as brax_wrappers
 from conftest import BATCH, STATIC, Rollout, Worlds, roll
 
@@ -75,6 +76,7 @@ def test_brax_wrappers_accept_the_environment(static_env):
     after = jax.eval_shape(env.step, first, jax.ShapeDtypeStruct((3, env.action_size), jnp.float32))
     assert jax.tree.structure(first) == jax.tree.structure(after)
     assert after.info["truncation"].shape == (3,)
+    assert isinstance(static_env, brax_envs.Env) and env.unwrapped is static_env
 
 
 # -- refusals ----------------------------------------------------------------------------------

@@ -16,7 +16,8 @@ from gymnasium.utils.env_checker import check_env
 
 import agym_jax
 from agym_jax.adapters.gymnasium import GymnasiumEnv, RenderModeError, register_envs
-from agym_jax.errors import ActionError, AgymError, UnknownNameError
+from agym_jax.errors import ActionError, AgymError, ImplementationError, UnknownNameError
+from agym_jax.physics import choose_impl
 
 NAME = "ScratchItchJaco-v0"
 # Gymnasium prefers bounded observations; positions and forces have no bound worth the name
@@ -26,6 +27,14 @@ UNBOUNDED = ("minimum value is -infinity", "maximum value is infinity")
 @pytest.fixture(scope="module")
 def env() -> Iterator[gymnasium.Env]:
     env = gymnasium.make(NAME, render_mode="rgb_array", width=64, height=48)
+    yield env
+    env.close()
+
+
+@pytest.fixture(scope="module")
+def on_mjx() -> Iterator[gymnasium.Env]:
+    """The same with the physics that is trained on."""
+    env = gymnasium.make(NAME, impl="jax")
     yield env
     env.close()
 
@@ -79,6 +88,8 @@ def test_there_is_no_state_before_reset():
 def test_unknown_names_are_refused():
     with pytest.raises(UnknownNameError, match="Did you mean 'ScratchItchJaco-v0'"):
         GymnasiumEnv("ScratchItchJako-v0")
+    with pytest.raises(ImplementationError, match=r"'natve'. Did you mean 'native'.*auto, jax"):
+        GymnasiumEnv(NAME, impl="natve")
     with pytest.raises(RenderModeError, match=r"no render mode 'rgb'.*'rgb_array'"):
         GymnasiumEnv(NAME, render_mode="rgb")
 
@@ -146,14 +157,37 @@ def test_episode_is_truncated_at_200_steps_and_then_needs_a_reset(env: gymnasium
 
 
 @pytest.mark.jit
-def test_broken_physics_terminates(env: gymnasium.Env):
+@pytest.mark.parametrize("physics", ["env", "on_mjx"])
+def test_broken_physics_terminates(physics: str, request: pytest.FixtureRequest):
+    env = request.getfixturevalue(physics)
     env.reset(seed=0)
     core = env.unwrapped
-    data = core.state.data
-    core._state = core.state.replace(data=data.replace(qpos=data.qpos.at[0].set(np.nan)))
+    qpos = np.array(core.state.data.qpos)
+    qpos[0] = np.nan
+    core._state = core.state.replace(data=core.state.data.replace(qpos=qpos))
     obs, reward, terminated, truncated, _ = env.step(np.zeros(7, np.float32))
     assert (terminated, truncated, reward) == (True, False, 0.0)
     assert np.isfinite(obs).all()
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros(7, np.float32))
+
+
+@pytest.mark.jit
+def test_one_world_is_c_mujocos_on_a_cpu_and_the_same_as_mjxs(
+    env: gymnasium.Env, on_mjx: gymnasium.Env
+):
+    assert env.unwrapped.core.impl == choose_impl("auto", one_world=True)
+    assert on_mjx.unwrapped.core.impl == "jax"
+    (mine, info), (theirs, their_info) = env.reset(seed=3), on_mjx.reset(seed=3)
+    np.testing.assert_allclose(mine, theirs, atol=1e-5)
+    assert set(info) == set(their_info)
+    for action in np.random.default_rng(0).uniform(-1, 1, (5, 7)).astype(np.float32):
+        mine, reward, *ends, info = env.step(action)
+        theirs, their_reward, *their_ends, their_info = on_mjx.step(action)
+        # free motion: float64 beside float32 over half a second
+        np.testing.assert_allclose(mine, theirs, atol=1e-3)
+        assert reward == pytest.approx(their_reward, abs=1e-3) and ends == their_ends
+        assert set(info["reward_terms"]) == set(their_info["reward_terms"])
 
 
 @pytest.mark.jit

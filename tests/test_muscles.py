@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,11 +21,8 @@ GIRDLE = np.array(["clavicle" in name for name in SPEC.joints])  # deviation gir
 
 def _torque(target, angle, load, strength=1.0, moving=False) -> np.ndarray:
     full = lambda x: jnp.full(N, x, jnp.float32)  # noqa: E731
-    return np.asarray(
-        muscles.torque(
-            SPEC, full(target), full(angle), full(load), jnp.float32(strength), jnp.bool_(moving)
-        )
-    )
+    mine = muscles.muscles_of(SPEC, jnp.float32(strength), jnp.bool_(moving))
+    return np.asarray(mine.torque(full(target), full(angle), full(load)))
 
 
 @pytest.mark.parametrize("strength", [0.25, 0.6, 1.0])
@@ -77,18 +73,12 @@ def _episode(tremor: float, step: int) -> Episode:
     return Episode(person, None, None, None, pose, pose, jnp.int32(step))  # ty: ignore
 
 
-def _data(env, angles) -> SimpleNamespace:
-    qpos = np.zeros(env.scene.model.nq, np.float32)
-    qpos[env.scene.index.person_qpos] = angles
-    return SimpleNamespace(qpos=jnp.asarray(qpos))
-
-
 def test_tremor_alternates_around_the_held_pose_minus_first(static_env):
     # humans.md section 6: the counter is incremented before use, so the first step uses -A
     for step, sign in ((0, -1), (1, 1), (2, -1), (3, 1)):
         episode = _episode(0.1, step)
-        target, hold = static_env._person_target(
-            episode, _data(static_env, np.asarray(episode.person_target) + 0.3), jnp.zeros(0)
+        target, hold = static_env.driver.person_target(
+            episode, episode.person_target + 0.3, jnp.zeros(0)
         )
         np.testing.assert_allclose(target - episode.person_target, sign * 0.1, atol=1e-6)
         np.testing.assert_array_equal(hold, episode.person_target)
@@ -99,7 +89,7 @@ def test_active_person_acts_from_where_the_arm_is_and_a_trembling_one_from_the_p
     for tremor in (0.0, 0.1):
         episode = _episode(tremor, 1)
         measured = np.asarray(episode.person_target) + 0.02
-        target, hold = active_env._person_target(episode, _data(active_env, measured), action)
+        target, hold = active_env.driver.person_target(episode, jnp.asarray(measured), action)
         start = np.asarray(episode.person_target) if tremor else measured
         low, high = active_env.scene.model.jnt_range[active_env.scene.index.person_joint].T
         expected = np.clip(start - 0.05, low, high)
@@ -118,21 +108,21 @@ def test_limp_arms_have_no_muscles_and_frozen_people_no_motion():
     still, moving, one = jnp.bool_(False), jnp.bool_(True), jnp.float32(1.0)
     load = jnp.full(N, 0.3)
     clavicles = np.array(["clavicle" in x for x in SPEC.joints])
-    torque = muscles.torque(limp, jnp.ones(N), jnp.zeros(N), load, one, still)
+    torque = muscles.muscles_of(limp, one, still).torque(jnp.ones(N), jnp.zeros(N), load)
     np.testing.assert_allclose(torque, np.where(clavicles, 0.3, 0.0))
     np.testing.assert_allclose(muscles.damping(limp, one, still), muscles.TISSUE_DAMPING)
     assert muscles.damping(frozen, one, still) > 1e3
     # an active or trembling person has the same muscles whatever a still one does
     for spec in (limp, frozen):
-        np.testing.assert_allclose(
-            muscles.torque(spec, jnp.ones(N), jnp.zeros(N), load, one, moving),
-            muscles.torque(SPEC, jnp.ones(N), jnp.zeros(N), load, one, moving),
+        mine, usual = (
+            muscles.muscles_of(x, one, moving).torque(jnp.ones(N), jnp.zeros(N), load)
+            for x in (spec, SPEC)
         )
+        np.testing.assert_allclose(mine, usual)
 
 
 def test_mattress_bears_the_arm_of_who_lies_down():
     lying = dataclasses.replace(SPEC, postures="BedBathing", still="limp")
-    torque = muscles.torque(
-        lying, jnp.zeros(N), jnp.zeros(N), jnp.full(N, 0.3), jnp.float32(1.0), jnp.bool_(False)
-    )
+    mine = muscles.muscles_of(lying, jnp.float32(1.0), jnp.bool_(False))
+    torque = mine.torque(jnp.zeros(N), jnp.zeros(N), jnp.full(N, 0.3))
     np.testing.assert_array_equal(torque, 0.0)

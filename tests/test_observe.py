@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +14,7 @@ from jax import Array
 
 from agym_jax import observe
 from agym_jax.errors import SpecError
-from agym_jax.observe import column, observation
+from agym_jax.observe import column, observation, part
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
 
@@ -85,31 +89,57 @@ def test_flatten_refuses_a_field_of_another_size():
         observe.flatten(Toy(jnp.zeros(2), jnp.float32(0.0)))
 
 
+def record(source: str = "", **fields: Any) -> type:
+    """A record whose fields are keyword arguments, in their order."""
+    body = {**fields, "__annotations__": dict.fromkeys(fields, Array)}
+    return observation(source=source)(type("Record", (), body))
+
+
+def place(frame: str = "world", source: str = "here") -> Any:
+    return column(3, "m", frame, source)
+
+
+def force() -> Any:
+    return column(1, "N", "sum", "there")
+
+
 def test_layout_version_notices_every_change_of_meaning():
-    @observation
-    class Same:
-        place: Array = column(3, "m", "world", "another source")
-        force: Array = column(1, "N", "sum", "there")
-
-    @observation
-    class Renamed:
-        position: Array = column(3, "m", "world", "here")
-        force: Array = column(1, "N", "sum", "there")
-
-    @observation
-    class Swapped:
-        force: Array = column(1, "N", "sum", "there")
-        place: Array = column(3, "m", "world", "here")
-
-    @observation
-    class Reframed:
-        place: Array = column(3, "m", "chest", "here")
-        force: Array = column(1, "N", "sum", "there")
-
-    versions = [observe.layout_version(r) for r in (Toy, Renamed, Swapped, Reframed)]
+    records = [
+        Toy,
+        record(position=place(), force=force()),
+        record(force=force(), place=place()),
+        record(place=place("chest"), force=force()),
+    ]
+    versions = [observe.layout_version(r) for r in records]
     versions.append(observe.layout_version(Toy, Toy))
     assert len(set(versions)) == 5
-    assert observe.layout_version(Same) == versions[0]  # where it comes from is not what it is
+    # where it comes from is not what it is
+    elsewhere = record(place=place(source="another source"), force=force())
+    assert observe.layout_version(elsewhere) == versions[0]
+
+
+def test_columns_of_a_part_stand_in_its_place():
+    whole = record("mine", place=column(3, "m", "world"), toy=part(record(at=place())), end=force())
+    flat = record(place=place(), at=place(), end=force())
+    assert observe.layout_version(whole) == observe.layout_version(flat)
+    sources = {name: c.source for name, c in observe.columns(whole).items()}
+    assert sources == {"place": "mine", "at": "here", "end": "there"}
+    inner = record(at=column(3, "m", "world"))
+    outer = record("mine", toy=part(inner))
+    assert observe.columns(inner)["at"].source == "" and "| mine |" in observe.table(outer)
+    seen = outer(inner(jnp.arange(3.0)))
+    np.testing.assert_array_equal(observe.flatten(seen), [0, 1, 2])
+    np.testing.assert_array_equal(observe.flatten(jax.tree.map(lambda x: x + 1, seen)), [1, 2, 3])
+    with pytest.raises(SpecError, match=r"Record\.toy is declared as Record but has a Toy"):
+        observe.flatten(outer(Toy(jnp.zeros(3), jnp.float32(0.0))))
+
+
+def test_a_record_that_does_not_fit_together_is_refused():
+    with pytest.raises(SpecError, match=r"two columns of the name place\."):
+        record(place=place(), toy=part(Toy))
+    for odd in (dataclasses.field(), part(int)):
+        with pytest.raises(SpecError, match=r"Record\.odd is neither column\("):
+            record(odd=odd)
 
 
 def test_static_and_active_layouts_differ(static_env, active_env):

@@ -17,11 +17,11 @@ import pytest
 from conftest import BATCH, Rollout, Worlds, compiled_person
 
 from agym_jax import kinematics
-from agym_jax.person import muscles
+from agym_jax.episode import person_rows
 from agym_jax.person.body import RIGHT_ARM_LINKS
 from agym_jax.person.draw import People, draw_person
 from agym_jax.person.pose import draw_pose
-from agym_jax.sense import add_touch, no_touch, sense
+from agym_jax.sense import add_touch, at_rest, no_touch, sense
 from agym_jax.state import Episode, Placement
 
 pytestmark = pytest.mark.parity
@@ -33,7 +33,8 @@ WATCHED = (0, 2, 4, 7)  # worlds that C MuJoCo follows
 QPOS, QVEL, FORCE = 1e-5, 3e-4, 5e-4  # [rad], [rad/s], [N] or share of the force
 
 
-def _one(tree: Any, i: int) -> Any:
+def one(tree: Any, i: int) -> Any:
+    """One world of a batch."""
     return jax.tree.map(lambda x: x[i], tree)
 
 
@@ -67,14 +68,15 @@ def crowd(static_env) -> Episode:
     pose = jax.vmap(draw_pose, (0, None, 0))(
         jax.random.split(jax.random.PRNGKey(5), n), spec, person
     )
-    rows = jax.vmap(env._rows_of)(person, pose)
+    rows = jax.vmap(lambda p, how: person_rows(env.scene, spec, p, how))(person, pose)
     return Episode(person, pose, rows, placement, zero, zero, jnp.zeros(n, jnp.int32))
 
 
 def test_fields_written_per_person_are_those_of_a_fresh_compilation(static_env, crowd: Episode):
     for i in range(5):
-        episode = _one(crowd, i)
-        mine, theirs = static_env._model_of(episode), compiled_person(static_env, episode)
+        episode = one(crowd, i)
+        mine = static_env.physics.model_of(episode)
+        theirs = compiled_person(static_env, episode)
         for name in FIELDS:
             a, b = np.asarray(getattr(mine, name)), getattr(theirs, name)
             if name.endswith("quat"):
@@ -90,7 +92,7 @@ def test_kinematics_of_different_people_are_c_mujocos(worlds: Worlds, rollout: R
     state = rollout.last
     assert 0 < np.sum(np.asarray(state.episode.person.sex)) < BATCH
     for i in range(BATCH):
-        model = compiled_person(worlds.env, _one(state.episode, i))
+        model = compiled_person(worlds.env, one(state.episode, i))
         c = mujoco.MjData(model)
         c.qpos[:] = np.asarray(state.data.qpos[i])
         mujoco.mj_kinematics(model, c)
@@ -113,7 +115,7 @@ def test_kinematics_of_different_people_are_c_mujocos(worlds: Worlds, rollout: R
 # -- pressing on an arm -------------------------------------------------------------------------
 
 
-def _press_goals(worlds: Worlds, state: Any) -> np.ndarray:
+def press_goals(worlds: Worlds, state: Any) -> np.ndarray:
     """Joint angles that put the tip of the tool 4 cm behind the limb's axis (B, n_arm)."""
     env, index = worlds.env, worlds.env.scene.index
     model = env.scene.model
@@ -147,17 +149,17 @@ class _Shadow:
     def __init__(self, env: Any, episode: Episode):
         self.env, self.index = env, env.scene.index
         self.model = compiled_person(env, episode)
-        mine = env._model_of(episode)
+        mine = env.physics.model_of(episode)
         # the motors' damping belongs to the episode; invweights are interpolated on purpose
         for name in ("dof_damping", "body_invweight0", "dof_invweight0"):
             getattr(self.model, name)[:] = np.asarray(getattr(mine, name))
         self.data = mujoco.MjData(self.model)
-        moving = muscles.is_moving(episode.person.tremor, env.active)
+        muscles = env.driver.muscles(episode.person)
         self.torque = jax.jit(
-            lambda target, q, v, load: muscles.torque(
-                env.task.person, target, q, load, episode.person.strength, moving
-            ) + env._limit_torque(q, v)
-        )  # fmt: skip
+            lambda target, q, v, load: (
+                muscles.torque(target, q, load) + env.driver.limit_torque(q, v)
+            )
+        )
 
     def step(self, before: Any, ctrl: np.ndarray) -> Any:
         """Five physics steps from MJX's state; returns the touch sums."""
@@ -165,7 +167,8 @@ class _Shadow:
         for name in ("qpos", "qvel", "qacc_warmstart", "qfrc_bias"):
             getattr(d, name)[:] = np.asarray(getattr(before.data, name))
         d.ctrl[:] = ctrl
-        target, _ = self.env._person_target(before.episode, before.data, jnp.zeros(0))
+        held = jnp.asarray(before.data.qpos)[index.person_qpos]
+        target, _ = self.env.driver.person_target(before.episode, held, jnp.zeros(0))
         touch, contacts = no_touch(index), 0
         for _ in range(self.env.task.control.frame_skip):
             q, v = d.qpos[index.person_qpos], d.qvel[index.person_dof]
@@ -184,9 +187,9 @@ class _Shadow:
 def test_pressing_on_an_arm_is_c_mujocos(worlds: Worlds):
     env, index = worlds.env, worlds.env.scene.index
     state = worlds.reset(jax.random.PRNGKey(0))
-    goals = _press_goals(worlds, state)
+    goals = press_goals(worlds, state)
     scale = env.task.control.action_scale
-    shadows = {i: _Shadow(env.env, _one(state.episode, i)) for i in WATCHED}
+    shadows = {i: _Shadow(env.env, one(state.episode, i)) for i in WATCHED}
     worst = {"qpos": 0.0, "qvel": 0.0, "force": 0.0}
     compared, hardest = 0, 0.0
     for t in range(APPROACH + PRESS):
@@ -196,9 +199,9 @@ def test_pressing_on_an_arm_is_c_mujocos(worlds: Worlds):
         if t < APPROACH:
             continue
         for i, shadow in shadows.items():
-            touch, contacts = shadow.step(_one(before, i), np.asarray(state.data.ctrl[i]))
+            touch, contacts = shadow.step(one(before, i), np.asarray(state.data.ctrl[i]))
             assert contacts <= 8  # scene.MAX_CONTACTS: MJX would leave some out
-            c, mine = shadow.data, _one(state.data, i)
+            c, mine = shadow.data, one(state.data, i)
             assert np.abs(c.qvel).max() > 0
             force = float(jnp.sum(touch.tools[0].force) + touch.robot_person) / 5
             theirs = float(state.metrics["force/on_person"][i])
@@ -217,14 +220,17 @@ def test_pressing_on_an_arm_is_c_mujocos(worlds: Worlds):
 def test_sense_reads_c_mujocos_data_as_it_reads_mjxs(worlds: Worlds):
     env, index = worlds.env, worlds.env.scene.index
     state = worlds.reset(jax.random.PRNGKey(0))
-    world = _one(state, 0)
+    world = one(state, 0)
     shadow = _Shadow(env.env, world.episode)
     shadow.data.qpos[:], shadow.data.qvel[:] = np.asarray(world.data.qpos), 0.1
     mujoco.mj_kinematics(shadow.model, shadow.data)
     dims = world.episode.person.dims
     data = world.data.replace(qvel=jnp.full_like(world.data.qvel, 0.1))
     sizes = shadow.model.geom_size
-    mine, theirs = (sense(index, d, no_touch(index), 1, dims, sizes) for d in (data, shadow.data))
+    mine, theirs = (
+        sense(index, d, no_touch(index), at_rest(index, d, 1), dims, sizes)
+        for d in (data, shadow.data)
+    )
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), mine, theirs)
     # the tip's velocity is the Jacobian's
     linear = np.zeros((3, shadow.model.nv))

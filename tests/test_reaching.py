@@ -44,6 +44,7 @@ def sensed(
         link_pos_w=arrays({"head": head, "chest": CHEST}),
         link_rot_w=arrays({"head": rotation_matrix(turn), "chest": np.eye(3)}),
         link_quat_w=arrays({"head": turn, "chest": np.array([1.0, 0, 0, 0])}),
+        motion=None,
         dims=arrays(anthropometry.dims(sex)),
         **arrays({
             "arm_angles": np.arange(7.0), "torso_pos_w": TORSO, "person_angles": np.arange(4.0),

@@ -57,6 +57,7 @@ def sensed(
         link_pos_w=changed(LINKS, links or {}),
         link_rot_w=changed(rot, turns or {}),
         link_quat_w=changed(quat, {}),
+        motion=None,
         dims=MAN,
         **changed(rest, changes),
     )
@@ -234,9 +235,9 @@ def test_observations_are_differences_along_world_axes():
     for found, expected in (
         (robot.tool_pos_torso, tip - torso),
         (robot.tool_pos_target, tip - state.target_pos_w),
-        (robot.shoulder_pos_torso, links["right_upper_arm"] - torso),
-        (robot.wrist_pos_torso, wrist - torso),
-        (person.elbow_pos_person, elbow - chest),
+        (robot.helped_arm.shoulder_pos_torso, links["right_upper_arm"] - torso),
+        (robot.helped_arm.wrist_pos_torso, wrist - torso),
+        (person.helped_arm.elbow_pos_person, elbow - chest),
         (person.target_pos_person, state.target_pos_w - chest),
         (robot.tool_force, 3.0),
         (person.force_on_person, 2.5),

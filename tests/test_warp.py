@@ -1,6 +1,8 @@
 """Both implementations of MJX mean the same. MuJoCo Warp runs on the CPU too, slowly."""
 
 # ruff: noqa: D103
+import operator
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -45,7 +47,8 @@ def test_each_world_of_warp_touches_its_own_person():
     step, restart = jax.jit(worlds.step), jax.jit(jax.vmap(env.restart))
     state = restart(state, jnp.arange(N) % 2 == 0)  # half of them are somebody new
     assert 0 < np.sum(np.asarray(state.episode.person.sex)) < N
-    models = [compiled_person(env, jax.tree.map(lambda x: x[i], state.episode)) for i in range(N)]
+    people = [jax.tree.map(operator.itemgetter(i), state.episode) for i in range(N)]
+    models = [compiled_person(env, episode) for episode in people]
     reach = np.array([[0.3, -0.3, 0.3, 0.0, 0.3, 0.3, 0.0]] * N, np.float32)
     state = step(state, reach)
     for i, model in enumerate(models):

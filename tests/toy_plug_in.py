@@ -59,17 +59,17 @@ class WaveState:
 class RobotObs:
     """What the robot sees."""
 
-    hand_pos_goal: Array = column(3, "m", "world axes, from the goal", "own")
-    arm_angles: Array = column(7, "rad", "joints", "own")
+    hand_pos_goal: Array = column(3, "m", "world axes, from the goal")
+    arm_angles: Array = column(7, "rad", "joints")
 
 
 @observation
 class PersonObs:
     """What the active person sees and feels."""
 
-    hand_pos_person: Array = column(3, "m", "world axes, from the chest", "own")
-    person_angles: Array = column(4, "rad", "neck and head joints", "own")
-    force_on_person: Array = column(1, "N", "robot on the person", "own")
+    hand_pos_person: Array = column(3, "m", "world axes, from the chest")
+    person_angles: Array = column(4, "rad", "neck and head joints")
+    force_on_person: Array = column(1, "N", "robot on the person")
 
 
 @dataclass(frozen=True)

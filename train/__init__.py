@@ -4,3 +4,5 @@
 ``train.enjoy`` shows one. The learner is built around the networks, distributions and running
 statistics of Brax; the training loop, checkpoints and policy files are our own.
 """
+
+import agym_jax.mjx_patch  # noqa: F401 (Brax imports MJX, which is quiet only when imported like this)

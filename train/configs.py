@@ -209,12 +209,15 @@ _TOUCH: dict[str, Any] = {
     "activation": "elu",
 }
 
+# Spoon and cup travel slowly: a reward is many steps away.
+_MEAL: dict[str, Any] = _TOUCH | {"lr": 5e-4, "gamma": 0.99, "gae_lambda": 0.95}
+
 # What a task changes of the base, measured on a GPU. Keys are the beginnings of environment ids.
 TASK_CHANGES: dict[str, dict[str, Any]] = {
     "ScratchItch": _TOUCH | {"ppo_epoch": 8, "num_mini_batch": 16},
     "BedBathing": _TOUCH,
-    "Feeding": {},
-    "Drinking": {},
+    "Feeding": _MEAL,
+    "Drinking": _MEAL,
     "Dressing": {},
     "ArmManipulation": _TOUCH | {"gamma": 0.98, "gae_lambda": 0.95},
     "Reaching": _TOUCH | {"lr": 3e-4},

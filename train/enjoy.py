@@ -1,6 +1,6 @@
 """Watch a policy: ``python -m train.enjoy --env-name ScratchItchJaco-v0 --clip scratch.gif``.
 
-One world on the CPU; the seed decides the episodes. Writes a film, a sheet of pictures, or opens
+One world on the CPU, with C MuJoCo's physics; the seed decides the episodes. Writes a film, a sheet of pictures, or opens
 MuJoCo's viewer, and prints each episode's return, force and success.
 """
 
@@ -21,7 +21,7 @@ import tyro
 from agym_jax.errors import AgymError
 from train.acting import AnyPolicy, find_policies, load_policies
 from train.configs import Count
-from train.envs import make_env
+from train.envs import make_env, programs
 from train.errors import ConfigError
 from train.npz import check_writable
 from train.rollout import FORCE_KEY
@@ -49,6 +49,8 @@ class EnjoyConfig:
     """Sample actions instead of taking the mode."""
     any_env: bool = False
     """Accept a policy of another environment with the same observation layout."""
+    impl: str = "native"
+    """Physics: "native" (C MuJoCo, quick to start) or "jax" (MJX, as in training)."""
     clip: Path | None = None
     """Film to write, .gif or .mp4."""
     sheet: Path | None = None
@@ -91,12 +93,8 @@ class Player:
 
     def __init__(self, env: Any, policy: AnyPolicy, deterministic: bool = True) -> None:
         self.env = env
-        self._reset = jax.jit(env.reset)
-
-        def step(state: Any, key: jax.Array) -> Any:
-            return env.step(state, policy(state.obs, key, deterministic))
-
-        self._step = jax.jit(step)
+        self._reset, self._step = programs(env)
+        self._act = jax.jit(lambda obs, key: policy(obs, key, deterministic))
 
     def episode(self, seed: int) -> Iterator[Frame]:
         """The frames of the episode that belongs to a seed, the start included."""
@@ -106,7 +104,7 @@ class Player:
         yield Frame(state, 0, total, 0.0, False, False)
         keys = jax.random.split(key, self.env.episode_length)
         for step in range(1, self.env.episode_length + 1):
-            state = self._step(state, keys[step - 1])
+            state = self._step(state, self._act(state.obs, keys[step - 1]))
             total += float(state.reward)
             force = float(state.metrics.get(FORCE_KEY, 0.0))
             success = bool(state.metrics.get("success", 0.0) > 0.5)
@@ -229,7 +227,7 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
     try:
         _check_outputs(config)
         files = find_policies(config.env_name, config.load_dir, config.policy, config.person_policy)
-        env = make(config.env_name, "jax")
+        env = make(config.env_name, config.impl)
         play(config, env, load_policies(files, env, config.any_env))
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)

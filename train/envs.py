@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+
+import jax
 
 from train.errors import ActiveHumanError
 
@@ -25,6 +28,13 @@ def vectorize(env: Any, num_envs: int) -> Any:
     from agym_jax import wrappers
 
     return wrappers.vectorize(env, num_envs)
+
+
+def programs(env: Any) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """``reset`` and ``step`` of one world, compiled; an environment that has ``programs()`` makes them."""
+    if hasattr(env, "programs"):
+        return env.programs()
+    return jax.jit(env.reset), jax.jit(env.step)
 
 
 def refuse_active_human(env: Any, allow_joint_observation: bool) -> None:

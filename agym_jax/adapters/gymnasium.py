@@ -4,7 +4,8 @@
     env = gymnasium.make("ScratchItchJaco-v0", render_mode="rgb_array")
 
 Training belongs on ``agym_jax.wrappers.vectorize``, which steps thousands of worlds at once; this is
-for looking, for scripts, and for code that knows only gymnasium.
+for looking, for scripts, and for code that knows only gymnasium. On a CPU the physics is C MuJoCo's, so
+that the first step comes within seconds; ``impl="jax"`` is the one that is trained on, in one world.
 
 DEVIATION(gymnasium-bounds): the observation space is unbounded; AG declares [-1, 1], which its
 observations exceed.
@@ -23,6 +24,7 @@ from gymnasium import spaces
 import agym_jax
 from agym_jax.errors import ActionError, AgymError, did_you_mean
 from agym_jax.person.draw import People
+from agym_jax.physics import choose_impl
 from agym_jax.render import Marker, Renderer
 
 RENDER_MODES = ("rgb_array",)
@@ -33,7 +35,7 @@ class RenderModeError(AgymError, ValueError):
 
 
 class _Programs(NamedTuple):
-    """An environment and its compiled functions, shared by all instances of an id."""
+    """An environment and its functions, compiled where they can be; all instances of an id share them."""
 
     env: agym_jax.Env
     reset: Any
@@ -42,8 +44,8 @@ class _Programs(NamedTuple):
 
 @cache
 def _programs(env_id: str, impl: str, people: People | None) -> _Programs:
-    env = agym_jax.make(env_id, impl=impl, people=people)
-    return _Programs(env, jax.jit(env.reset), jax.jit(env.step))
+    env = agym_jax.make(env_id, impl=choose_impl(impl, one_world=True), people=people)
+    return _Programs(env, *env.programs())
 
 
 class GymnasiumEnv(gymnasium.Env):
@@ -55,7 +57,7 @@ class GymnasiumEnv(gymnasium.Env):
     Args:
         env_id: as in ``agym_jax.list_envs()``.
         render_mode: ``"rgb_array"``, or None for no pictures.
-        impl: physics, see ``agym_jax.make``.
+        impl: physics, see ``agym_jax.make``; ``"auto"`` is ``"native"`` on a CPU.
         people: the population, see ``agym_jax.make``.
         width: of pictures [pixels].
         height: of pictures [pixels].
@@ -64,6 +66,7 @@ class GymnasiumEnv(gymnasium.Env):
     Raises:
         UnknownNameError: there is no such id.
         RenderModeError: there is no such render mode.
+        ImplementationError: there is no such physics, or it is not installed.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012

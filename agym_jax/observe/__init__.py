@@ -1,10 +1,12 @@
 """Observation records and their flat vectors: the only place where fields become columns.
 
-A record is a NamedTuple-like dataclass whose fields carry size, unit, frame and source:
+A record is a frozen dataclass whose fields carry size, unit and frame, and which says where in
+Assistive Gym they come from. Columns that several records have in common are a record of their own:
 
-    @observation
+    @observation(source="scratch_itch.py:74")
     class RobotObs:
-        tool_pos_torso: Array = column(3, "m", "world axes, from the torso", "scratch_itch.py:74")
+        tool_pos_torso: Array = column(3, "m", "world axes, from the torso")
+        helped_arm: ArmFromTorso = part(ArmFromTorso)
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ import jax.numpy as jnp
 
 from agym_jax.errors import SpecError
 
+_SOURCE = "__observation_source__"
+
 
 @dataclass(frozen=True)
 class Column:
@@ -31,20 +35,92 @@ class Column:
     source: str
 
 
-def column(size: int, unit: str, frame: str, source: str) -> Any:
-    """Declare a field of an observation record."""
+def column(size: int, unit: str, frame: str, source: str = "") -> Any:
+    """Declare a field of an observation record; without a source of its own it has the record's."""
     return dataclasses.field(metadata={"column": Column(size, unit, frame, source)})
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(column,))
-def observation(cls: type) -> type:
-    """Make a class of ``column`` fields a frozen record and a pytree."""
-    return jax.tree_util.register_dataclass(dataclass(frozen=True)(cls))
+def part(record: type) -> Any:
+    """Declare a field that is a record itself: its columns, under their own names, stand here."""
+    return dataclasses.field(metadata={"part": record})
 
 
-def columns(record: type) -> dict[str, Column]:
-    """Name -> column, in order."""
-    return {f.name: f.metadata["column"] for f in fields(record)}
+@dataclass_transform(frozen_default=True, field_specifiers=(column, part))
+def observation(cls: type | None = None, /, *, source: str = "") -> Any:
+    """Make a class of ``column`` and ``part`` fields a frozen record and a pytree.
+
+    Args:
+        cls: the class, where the decorator has no arguments.
+        source: where its columns come from, unless they say so themselves.
+
+    Raises:
+        SpecError: a field is neither, or two columns have the same name.
+    """
+
+    def decorate(cls: type) -> type:
+        setattr(cls, _SOURCE, source)
+        record = jax.tree_util.register_dataclass(dataclass(frozen=True)(cls))
+        _check_names(record)
+        return record
+
+    return decorate if cls is None else decorate(cls)
+
+
+def _check_names(record: type) -> None:
+    """Raise SpecError unless the fields are columns and parts, without a name that stands twice."""
+    names: list[str] = []
+    for f in fields(record):
+        if "column" in f.metadata:
+            names.append(f.name)
+        elif hasattr(f.metadata.get("part"), _SOURCE):
+            names += columns(f.metadata["part"])
+        else:
+            raise SpecError(
+                f"{record.__name__}.{f.name} is neither column(size, unit, frame) nor "
+                "part(RECORD), where RECORD is an @observation."
+            )
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise SpecError(f"{record.__name__} has two columns of the name {', '.join(twice)}.")
+
+
+def columns(record: type, source: str = "") -> dict[str, Column]:
+    """Name -> column, in order; those of a part stand in its place.
+
+    Args:
+        record: an ``observation``.
+        source: of columns that have none, where the record has none either.
+    """
+    source = getattr(record, _SOURCE) or source
+    found: dict[str, Column] = {}
+    for f in fields(record):
+        if "part" in f.metadata:
+            found |= columns(f.metadata["part"], source)
+        else:
+            c = f.metadata["column"]
+            found[f.name] = dataclasses.replace(c, source=c.source or source)
+    return found
+
+
+def values(obs: Any) -> dict[str, Any]:
+    """Name -> value, in the order of ``columns``.
+
+    Raises:
+        SpecError: a part is filled with something else.
+    """
+    found: dict[str, Any] = {}
+    for f in fields(obs):
+        value, wanted = getattr(obs, f.name), f.metadata.get("part")
+        if wanted is None:
+            found[f.name] = value
+        elif isinstance(value, wanted):
+            found |= values(value)
+        else:
+            raise SpecError(
+                f"{type(obs).__name__}.{f.name} is declared as {wanted.__name__} "
+                f"but has a {type(value).__name__}."
+            )
+    return found
 
 
 def size(record: type) -> int:
@@ -65,17 +141,17 @@ def flatten(obs: Any) -> jax.Array:
     """Record -> flat vector (size,).
 
     Raises:
-        SpecError: a field does not have its declared size.
+        SpecError: a field does not have its declared size, or is not the declared part.
     """
-    parts = []
+    flat, given = [], values(obs)
     for name, c in columns(type(obs)).items():
-        value = jnp.asarray(getattr(obs, name), jnp.float32).reshape(-1)
+        value = jnp.asarray(given[name], jnp.float32).reshape(-1)
         if value.shape[0] != c.size:
             raise SpecError(
                 f"{type(obs).__name__}.{name} is declared with {c.size} entries but has {value.shape[0]}."
             )
-        parts.append(value)
-    return jnp.concatenate(parts)
+        flat.append(value)
+    return jnp.concatenate(flat)
 
 
 def layout_version(*records: type) -> str:

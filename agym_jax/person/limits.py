@@ -21,6 +21,8 @@ stands a few degrees outside the boundary when pressed, and no pose outlives a r
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -83,19 +85,20 @@ def load_arm_limits(name: str = "person/arm_limits.npz") -> ArmLimits:
         )
 
 
-def mirror_left(angles: jax.Array, side_sign: float | jax.Array = -1.0) -> jax.Array:
+def mirror_left(angles: Any, side_sign: Any = -1.0, xp: Any = jnp) -> Any:
     """Angles, velocities or torques of the left arm as those of a right arm, and back.
 
     Args:
         angles: (..., 4) shoulder y, x, z and elbow.
         side_sign: -1 mirrors; +1, for a right arm, changes nothing. () or (...).
+        xp: numpy or jax.numpy.
     """
-    sign = jnp.asarray(side_sign, angles.dtype)
-    one = jnp.ones_like(sign)
-    return angles * jnp.stack([sign, one, sign, one], axis=-1)
+    sign = xp.asarray(side_sign, angles.dtype)
+    one = xp.ones_like(sign)
+    return angles * xp.stack([sign, one, sign, one], axis=-1)
 
 
-def reachability(limits: ArmLimits, angles: jax.Array) -> jax.Array:
+def reachability(limits: ArmLimits, angles: Any, xp: Any = jnp) -> Any:
     """Logit of a person reaching the pose: > 0 is reachable.
 
     Outside the sampled box (Assistive Gym's nominal joint limits) the pose is drawn smoothly back
@@ -104,27 +107,29 @@ def reachability(limits: ArmLimits, angles: jax.Array) -> jax.Array:
     Args:
         limits: fitted weights.
         angles: (..., 4) right-arm convention [rad].
+        xp: numpy or jax.numpy.
 
     Returns:
         (...) logit [-].
     """
-    return _logit(limits, angles, _wrap_side(angles))
+    return _logit(limits, angles, _wrap_side(angles, xp), xp)
 
 
-def _wrap_side(angles: jax.Array) -> jax.Array:
+def _wrap_side(angles: Any, xp: Any = jnp) -> Any:
     """Side of shoulder x = 0, where the classifier wraps: a smooth step from -1 to 1, (..., 1)."""
-    return jnp.tanh(angles[..., 1:2] / WRAP_WIDTH)
+    return xp.tanh(angles[..., 1:2] / WRAP_WIDTH)
 
 
-def _logit(limits: ArmLimits, angles: jax.Array, side: jax.Array) -> jax.Array:
+def _logit(limits: ArmLimits, angles: Any, side: Any, xp: Any = jnp) -> Any:
+    matmul = partial(jnp.matmul, precision="highest") if xp is jnp else np.matmul
     scaled = (angles - limits.center) / limits.half_range
-    inside = jnp.clip(scaled, -1.0, 1.0)
-    drawn = inside + BOX_MARGIN * jnp.tanh((scaled - inside) / BOX_MARGIN)
-    x = jnp.concatenate([drawn, side], axis=-1)
+    inside = xp.clip(scaled, -1.0, 1.0)
+    drawn = inside + BOX_MARGIN * xp.tanh((scaled - inside) / BOX_MARGIN)
+    x = xp.concatenate([drawn, side], axis=-1)
     *hidden, (kernel, bias) = zip(limits.kernels, limits.biases, strict=True)
     for k, b in hidden:
-        x = jnp.tanh(jnp.matmul(x, k, precision="highest") + b)
-    return (jnp.matmul(x, kernel, precision="highest") + bias)[..., 0]
+        x = xp.tanh(matmul(x, k) + b)
+    return (matmul(x, kernel) + bias)[..., 0]
 
 
 def _inward(limits: ArmLimits, angles: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -14,6 +14,8 @@ up to the torque bound and moving freely beyond it.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -48,32 +50,40 @@ def damping(spec: PersonSpec, strength: jax.Array, moving: jax.Array) -> jax.Arr
     return TISSUE_DAMPING + jnp.where(moving, move, still)
 
 
-def torque(
-    spec: PersonSpec,
-    target: jax.Array,
-    angle: jax.Array,
-    load: jax.Array,
-    strength: jax.Array,
-    moving: jax.Array,
-) -> jax.Array:
-    """Muscle torque without its damping [N m].
+class Muscles(NamedTuple):
+    """How one person pulls; constant throughout an episode."""
+
+    gain: Any  # [N m/rad]                                                    ()
+    bound: Any  # of the torque [N m]                                         ()
+    passive: Any  # True where ligaments bear the load                        (n,)
+
+    def torque(self, target: Any, angle: Any, load: Any, xp: Any = jnp) -> Any:
+        """Torque without its damping [N m] (n,).
+
+        Args:
+            target: angles to reach [rad] (n,).
+            angle: measured angles [rad] (n,).
+            load: gravity and inertial torque that the joints bear (qfrc_bias) [N m] (n,).
+            xp: numpy or jax.numpy.
+        """
+        passive = xp.where(self.passive, load, 0.0)
+        wanted = load - passive + self.gain * (target - angle)
+        return passive + xp.minimum(xp.maximum(wanted, -self.bound), self.bound)
+
+
+def muscles_of(spec: PersonSpec, strength: jax.Array, moving: jax.Array) -> Muscles:
+    """A person's muscles.
 
     Args:
         spec: rates and torque bound.
-        target: angles to reach [rad] (n,).
-        angle: measured angles [rad] (n,).
-        load: gravity and inertial torque that the joints bear (qfrc_bias) [N m] (n,).
         strength: of the person ().
         moving: from ``is_moving`` ().
-
-    Returns:
-        (n,)
     """
     holds = 1.0 if spec.still == "hold" else 0.0
     rate = jnp.where(moving, spec.move_rate, holds * spec.hold_rate)
-    gain = damping(spec, strength, moving) * rate
-    bound = spec.max_torque * strength * jnp.where(moving, 1.0, holds)
     seated = not spec.postures  # in bed the mattress bears the arm
-    girdle = np.array([seated and "clavicle" in name for name in spec.joints], bool)
-    passive = jnp.where(girdle, load, 0.0)
-    return passive + jnp.clip(load - passive + gain * (target - angle), -bound, bound)
+    return Muscles(
+        gain=damping(spec, strength, moving) * rate,
+        bound=spec.max_torque * strength * jnp.where(moving, 1.0, holds),
+        passive=np.array([seated and "clavicle" in name for name in spec.joints], bool),
+    )

@@ -23,6 +23,7 @@ def _arm(side: str) -> Arm:
 
 
 _H = math.sqrt(0.5)
+_C, _S = math.cos(0.05), math.sin(0.05)
 # AG v0.1 world_creation.py: both arms tucked before the search (robots.md section 6)
 _REST = {
     "left": (0.75, 1.0, 0.5, 0.5, 1.0, -0.5, 0.0),
@@ -36,7 +37,14 @@ BAXTER = RobotSpec(
     torso="torso_reference",
     # AG v0.1 task files: the left finger's shift [m], the right one's is its negative
     # (robots.md section 5); Reaching has no Baxter, closed as for Feeding
-    gripper_opening={"scratcher": 0.015, "wiper": 0.0125, "scooper": 0.01, "hand": 0.0},
+    gripper_opening={
+        "scratcher": 0.015,
+        "wiper": 0.0125,
+        "scooper": 0.01,
+        "spoon": 0.0,
+        "hand": 0.0,
+        "cup": 0.0208,  # AG asks for 0.025, beyond the joint's limit
+    },
     grasps={
         # AG v0.1 task files: 0.125 and 0.1175 beyond the gripper base (robots.md section 9),
         # the tool frame 0.1327 beyond it
@@ -44,6 +52,12 @@ BAXTER = RobotSpec(
         "wiper": Pose((0.0, 0.0, -0.0152), (0.5, -0.5, -0.5, -0.5)),
         # URDF baxter_custom_arm_manipulation, joint of tool_left and tool_right (section 4)
         "scooper": Pose((0.0, 0.075, 0.1023), (0.0, _H, 0.0, _H)),
+        # AG v0.1 task files, turned by 0.1 rad about the approach: 0.12 and 0.125 beyond the base
+        "spoon": Pose(
+            (-0.02, -0.1, -0.0127),
+            (-0.5 * (_C - _S), 0.5 * (_C + _S), 0.5 * (_C - _S), 0.5 * (_C + _S)),
+        ),
+        "cup": Pose((0.0, 0.05, -0.0077), (0.0, _H, 0.0, _H)),
     },
     rest={
         f"{side}_{x}": angle
@@ -56,6 +70,8 @@ BAXTER = RobotSpec(
         "BedBathing": BaseSearch((-1.05, -0.4, 0.975)),
         "ArmManipulation": BaseSearch((-1.15, 0.2, 0.975)),
         "Reaching": BaseSearch((-0.85, -0.2, 0.975)),
+        "Feeding": BaseSearch((-0.85, -0.2, 0.975)),
+        "Drinking": BaseSearch((-0.85, -0.2, 0.975)),
     },
     base_height=0.975,
     start_rotations={
@@ -66,5 +82,8 @@ BAXTER = RobotSpec(
         "ArmManipulation": (0.0, _H, 0.0, _H),
         # as Feeding (feeding.py): Euler (pi/2, 0, pi/2), along +x, fingers open vertically
         "Reaching": (0.5, 0.5, 0.5, 0.5),
+        "Feeding": (0.5, 0.5, 0.5, 0.5),
+        # AG v0.1 drinking.py: as ArmManipulation, the cup upright
+        "Drinking": (0.0, _H, 0.0, _H),
     },
 )

@@ -15,6 +15,7 @@ _ARM = Arm(
     links=("link_7_collision", "link_6_collision", "link_5_collision", "link_4_collision"),
 )
 _H = math.sqrt(0.5)
+_C, _S = math.cos(0.05), math.sin(0.05)
 
 JACO = RobotSpec(
     name="Jaco",
@@ -22,13 +23,23 @@ JACO = RobotSpec(
     arms={"left": _ARM, "right": _ARM},
     torso="torso_reference",
     # AG v0.1 task files, gripper positions (robots.md section 5)
-    gripper_opening={"scratcher": 1.0, "wiper": 1.1, "scooper": 1.05, "hand": 1.33},
+    gripper_opening={
+        "scratcher": 1.0,
+        "wiper": 1.1,
+        "scooper": 1.05,
+        "spoon": 1.33,
+        "cup": 0.63,
+        "hand": 1.33,
+    },
     grasps={
         # robots.md section 9: x along the approach, z against the hand's x
         "scratcher": Pose((0.0, 0.0, 0.02), (_H, 0.0, -_H, 0.0)),
         "wiper": Pose((-0.01, 0.0, 0.03), (_H, 0.0, -_H, 0.0)),
         # robots.md section 4: URDF joint of the tool, rpy (pi/2, -pi/2, 0)
         "scooper": Pose((0.075, 0.0, 0.14), (0.5, 0.5, -0.5, 0.5)),
+        # robots.md section 9: turned by 0.1 rad about the approach
+        "spoon": Pose((0.1, -0.0225, 0.03), (-_H * _C, _H * _S, _H * _C, _H * _S)),
+        "cup": Pose((0.05, -0.005, 0.0), (_H, 0.0, 0.0, _H)),
     },
     # AG v0.1 world_creation.py: beside the wheelchair, yaw -90 degrees (robots.md section 7); the
     # tutorial's Reaching has yaw 0
@@ -49,5 +60,8 @@ JACO = RobotSpec(
         "BedBathing": (_H, 0.0, _H, 0.0),
         "ArmManipulation": (_H, 0.0, _H, 0.0),
         "Reaching": (0.5, 0.5, 0.5, 0.5),
+        # sections 4, 5: (pi/2, 0, pi/2); (0, pi/2, 0)
+        "Feeding": (0.5, 0.5, 0.5, 0.5),
+        "Drinking": (_H, 0.0, _H, 0.0),
     },
 )

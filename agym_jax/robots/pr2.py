@@ -8,6 +8,7 @@ import math
 from agym_jax.spec import Arm, BaseSearch, Pose, RobotSpec
 
 _H = math.sqrt(0.5)
+_C, _S = math.cos(0.1), math.sin(0.1)
 # robots.md section 3, action order
 _JOINTS = (
     "shoulder_pan",
@@ -42,7 +43,14 @@ PR2 = RobotSpec(
     arms={"left": _arm("left"), "right": _arm("right")},
     torso="torso_reference",
     # AG v0.1 task files, the same angle on all four finger joints (robots.md section 5)
-    gripper_opening={"scratcher": 0.25, "wiper": 0.2, "scooper": 0.15, "hand": 0.03},
+    gripper_opening={
+        "scratcher": 0.25,
+        "wiper": 0.2,
+        "scooper": 0.15,
+        "spoon": 0.03,
+        "cup": 0.45,
+        "hand": 0.03,
+    },
     # robots.md sections 9 and 4, turned from *_gripper_tool_frame into the canonical frame
     grasps={
         # AG: position 0, axes of the link
@@ -50,6 +58,12 @@ PR2 = RobotSpec(
         "wiper": Pose((0.0, 0.0, 0.0), (0.5, -0.5, -0.5, -0.5)),
         # AG: tool_left, tool_right at (0.125, 0, -0.075), rpy (pi/2, 0, 0)
         "scooper": Pose((0.0, -0.075, 0.125), (_H, 0.0, -_H, 0.0)),
+        # AG: (0, -0.03, -0.11), turned by -0.2 rad about the approach; (-0.01, 0, -0.05)
+        "spoon": Pose(
+            (-0.03, -0.11, 0.0),
+            (-0.5 * (_C - _S), 0.5 * (_C + _S), 0.5 * (_C - _S), 0.5 * (_C + _S)),
+        ),
+        "cup": Pose((0.0, -0.05, -0.01), (_H, 0.0, -_H, 0.0)),
     },
     rest={f"l_{x}_joint": q for x, q in zip(_JOINTS, _TUCKED, strict=True)}
     | {f"r_{x}_joint": m * q for x, q, m in zip(_JOINTS, _TUCKED, _MIRROR, strict=True)},
@@ -59,6 +73,8 @@ PR2 = RobotSpec(
         "BedBathing": BaseSearch((-0.95, -0.4, 0.0)),
         "ArmManipulation": BaseSearch((-1.15, 0.3, 0.0)),
         "Reaching": BaseSearch((-0.75, -0.2, 0.0)),
+        "Feeding": BaseSearch((-0.75, -0.2, 0.0)),
+        "Drinking": BaseSearch((-0.65, -0.2, 0.0)),
     },
     # tasks.md sections 2, 3, 7, 8: Euler (0, 0, 0), the hand points along world +x; Reaching (pi/2, 0, 0)
     start_rotations={
@@ -66,5 +82,8 @@ PR2 = RobotSpec(
         "BedBathing": (1.0, 0.0, 0.0, 0.0),
         "ArmManipulation": (1.0, 0.0, 0.0, 0.0),
         "Reaching": (_H, _H, 0.0, 0.0),
+        # sections 4, 5: (pi/2, 0, 0); (0, 0, 0)
+        "Feeding": (_H, _H, 0.0, 0.0),
+        "Drinking": (1.0, 0.0, 0.0, 0.0),
     },
 )

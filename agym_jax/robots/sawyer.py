@@ -21,6 +21,7 @@ _ARM = Arm(
     ),
 )
 _H = math.sqrt(0.5)
+_C, _S = math.cos(0.05), math.sin(0.05)
 
 SAWYER = RobotSpec(
     name="Sawyer",
@@ -28,13 +29,26 @@ SAWYER = RobotSpec(
     arms={"left": _ARM, "right": _ARM},
     torso="torso_reference",
     # AG v0.1 task files, metres by which each finger opens: left +p, right -p (robots.md section 5)
-    gripper_opening={"scratcher": 0.015, "wiper": 0.0125, "scooper": 0.01, "hand": 0.0},
+    gripper_opening={
+        "scratcher": 0.015,
+        "wiper": 0.0125,
+        "scooper": 0.01,
+        "spoon": 0.0,
+        "hand": 0.0,
+        "cup": 0.0208,  # AG asks for 0.025, beyond the joint's limit
+    },
     grasps={
         # robots.md section 9: 0.125 and 0.1175 m out of right_gripper_base
         "scratcher": Pose((0.0, 0.0, -0.0077), (0.0, _H, 0.0, _H)),
         "wiper": Pose((0.0, 0.0, -0.0152), (0.5, -0.5, -0.5, -0.5)),
         # robots.md section 4: URDF joint of tool_right
         "scooper": Pose((0.0, 0.075, 0.1023), (0.0, _H, 0.0, _H)),
+        # robots.md section 9, turned by 0.1 rad about the approach: 0.12 and 0.125 beyond the base
+        "spoon": Pose(
+            (-0.02, -0.1, -0.0127),
+            (-0.5 * (_C - _S), 0.5 * (_C + _S), 0.5 * (_C - _S), 0.5 * (_C + _S)),
+        ),
+        "cup": Pose((0.0, 0.05, -0.0077), (0.0, _H, 0.0, _H)),
     },
     # robots.md section 7: (-0.85, -0.4) and the task's pos_offset; baseline.md: the URDF's root stands
     # (0.1, 0, -0.07) from there; Reaching as Feeding
@@ -43,6 +57,8 @@ SAWYER = RobotSpec(
         "BedBathing": BaseSearch((-0.95, -0.4, 0.905)),
         "ArmManipulation": BaseSearch((-1.05, 0.2, 0.905)),
         "Reaching": BaseSearch((-0.85, -0.2, 0.905)),
+        "Feeding": BaseSearch((-0.85, -0.2, 0.905)),
+        "Drinking": BaseSearch((-0.85, -0.2, 0.905)),
     },
     base_height=0.905,
     start_rotations={
@@ -53,5 +69,8 @@ SAWYER = RobotSpec(
         "ArmManipulation": (0.0, _H, 0.0, _H),
         # AG v0.1 feeding.py, as the tutorial has no Sawyer: Euler (pi/2, 0, pi/2)
         "Reaching": (0.5, 0.5, 0.5, 0.5),
+        "Feeding": (0.5, 0.5, 0.5, 0.5),
+        # AG v0.1 drinking.py: Euler (0, -pi/2, pi), the cup upright
+        "Drinking": (0.0, _H, 0.0, _H),
     },
 )

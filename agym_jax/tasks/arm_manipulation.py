@@ -23,7 +23,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from agym_jax.furniture import BED
-from agym_jax.observe import column, observation
+from agym_jax.helped_arm import ArmFromChest, ArmFromTorso, see_arm
+from agym_jax.observe import column, observation, part
 from agym_jax.person.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed, ToolSensed
@@ -53,55 +54,37 @@ class ArmState:
     best: Array  # the greatest so far [m]                                     ()
 
 
-@observation
+@observation(source="arm_manipulation.py:83")
 class RobotObs:
     """What the robot sees."""
 
-    left_tool_pos_torso: Array = column(
-        3, "m", "world axes, from the robot's torso", "arm_manipulation.py:83"
-    )
-    left_tool_quat_w: Array = column(4, "1 (wxyz)", "world", "arm_manipulation.py:83")
-    right_tool_pos_torso: Array = column(
-        3, "m", "world axes, from the torso", "arm_manipulation.py:83"
-    )
-    right_tool_quat_w: Array = column(4, "1 (wxyz)", "world", "arm_manipulation.py:83")
-    arm_angles: Array = column(14, "rad", "left arm, then right", "arm_manipulation.py:83")
-    shoulder_pos_torso: Array = column(
-        3, "m", "world axes, from the torso", "arm_manipulation.py:83"
-    )
-    elbow_pos_torso: Array = column(3, "m", "world axes, from the torso", "arm_manipulation.py:83")
-    wrist_pos_torso: Array = column(3, "m", "world axes, from the torso", "arm_manipulation.py:83")
-    waist_pos_torso: Array = column(3, "m", "world axes, from the torso", "arm_manipulation.py:83")
-    hips_pos_torso: Array = column(3, "m", "world axes, from the torso", "arm_manipulation.py:83")
-    left_tool_force: Array = column(1, "N", "all contacts of the tool", "arm_manipulation.py:83")
-    right_tool_force: Array = column(1, "N", "all contacts of the tool", "arm_manipulation.py:83")
+    left_tool_pos_torso: Array = column(3, "m", "world axes, from the robot's torso")
+    left_tool_quat_w: Array = column(4, "1 (wxyz)", "world")
+    right_tool_pos_torso: Array = column(3, "m", "world axes, from the torso")
+    right_tool_quat_w: Array = column(4, "1 (wxyz)", "world")
+    arm_angles: Array = column(14, "rad", "left arm, then right")
+    helped_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
+    waist_pos_torso: Array = column(3, "m", "world axes, from the torso")
+    hips_pos_torso: Array = column(3, "m", "world axes, from the torso")
+    left_tool_force: Array = column(1, "N", "all contacts of the tool")
+    right_tool_force: Array = column(1, "N", "all contacts of the tool")
 
 
-@observation
+@observation(source="arm_manipulation.py:89")
 class PersonObs:
     """What the active person sees and feels."""
 
-    left_tool_pos_person: Array = column(
-        3, "m", "world axes, from the chest", "arm_manipulation.py:89"
-    )
-    left_tool_quat_w: Array = column(4, "1 (wxyz)", "world", "arm_manipulation.py:89")
-    right_tool_pos_person: Array = column(
-        3, "m", "world axes, from the chest", "arm_manipulation.py:89"
-    )
-    right_tool_quat_w: Array = column(4, "1 (wxyz)", "world", "arm_manipulation.py:89")
-    person_angles: Array = column(10, "rad", "right arm's joints", "arm_manipulation.py:89")
-    shoulder_pos_person: Array = column(
-        3, "m", "world axes, from the chest", "arm_manipulation.py:89"
-    )
-    elbow_pos_person: Array = column(3, "m", "world axes, from the chest", "arm_manipulation.py:89")
-    wrist_pos_person: Array = column(3, "m", "world axes, from the chest", "arm_manipulation.py:89")
-    waist_pos_person: Array = column(3, "m", "world axes, from the chest", "arm_manipulation.py:89")
-    hips_pos_person: Array = column(3, "m", "world axes, from the chest", "arm_manipulation.py:89")
-    force_on_person: Array = column(
-        1, "N", "robot and tools on the person", "arm_manipulation.py:89"
-    )
-    left_tool_on_person: Array = column(1, "N", "tool on the person", "arm_manipulation.py:89")
-    right_tool_on_person: Array = column(1, "N", "tool on the person", "arm_manipulation.py:89")
+    left_tool_pos_person: Array = column(3, "m", "world axes, from the chest")
+    left_tool_quat_w: Array = column(4, "1 (wxyz)", "world")
+    right_tool_pos_person: Array = column(3, "m", "world axes, from the chest")
+    right_tool_quat_w: Array = column(4, "1 (wxyz)", "world")
+    person_angles: Array = column(10, "rad", "right arm's joints")
+    helped_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
+    waist_pos_person: Array = column(3, "m", "world axes, from the chest")
+    hips_pos_person: Array = column(3, "m", "world axes, from the chest")
+    force_on_person: Array = column(1, "N", "robot and tools on the person")
+    left_tool_on_person: Array = column(1, "N", "tool on the person")
+    right_tool_on_person: Array = column(1, "N", "tool on the person")
 
 
 SCOOPER = ToolSpec(
@@ -190,7 +173,7 @@ class ArmManipulation:
         """What robot and person see."""
         s, torso, chest = sensed, sensed.torso_pos_w, sensed.person_pos_w
         left, right = s.tools[0], s.tools[-1]
-        shoulder, elbow, wrist = (s.link_pos_w[name] for name in RIGHT_ARM_LINKS)
+        arm_torso, arm_chest = see_arm(s)
         waist, hips = s.link_pos_w["waist"], s.link_pos_w["hips"]
         robot = RobotObs(
             left_tool_pos_torso=left.pos_w - torso,
@@ -198,9 +181,7 @@ class ArmManipulation:
             right_tool_pos_torso=right.pos_w - torso,
             right_tool_quat_w=right.quat_w,
             arm_angles=jnp.tile(s.arm_angles, 2)[:14],
-            shoulder_pos_torso=shoulder - torso,
-            elbow_pos_torso=elbow - torso,
-            wrist_pos_torso=wrist - torso,
+            helped_arm=arm_torso,
             waist_pos_torso=waist - torso,
             hips_pos_torso=hips - torso,
             left_tool_force=left.force,
@@ -212,9 +193,7 @@ class ArmManipulation:
             right_tool_pos_person=right.pos_w - chest,
             right_tool_quat_w=right.quat_w,
             person_angles=s.person_angles,
-            shoulder_pos_person=shoulder - chest,
-            elbow_pos_person=elbow - chest,
-            wrist_pos_person=wrist - chest,
+            helped_arm=arm_chest,
             waist_pos_person=waist - chest,
             hips_pos_person=hips - chest,
             force_on_person=s.force_on_person,

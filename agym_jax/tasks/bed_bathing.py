@@ -21,7 +21,8 @@ import numpy as np
 from jax import Array
 
 from agym_jax.furniture import BED
-from agym_jax.observe import column, observation
+from agym_jax.helped_arm import ArmFromChest, ArmFromTorso, see_arm
+from agym_jax.observe import column, observation, part
 from agym_jax.person.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed
@@ -61,33 +62,27 @@ class BathState:
     pad_force: Array  # of the pad on the person [N]                  ()
 
 
-@observation
+@observation(source="bed_bathing.py:66")
 class RobotObs:
     """What the robot sees."""
 
-    tool_pos_torso: Array = column(
-        3, "m", "world axes, from the robot's torso", "bed_bathing.py:66"
-    )
-    tool_quat_w: Array = column(4, "1 (wxyz)", "world", "bed_bathing.py:66")
-    arm_angles: Array = column(7, "rad", "joints", "bed_bathing.py:66")
-    shoulder_pos_torso: Array = column(3, "m", "world axes, from the torso", "bed_bathing.py:66")
-    elbow_pos_torso: Array = column(3, "m", "world axes, from the torso", "bed_bathing.py:66")
-    wrist_pos_torso: Array = column(3, "m", "world axes, from the torso", "bed_bathing.py:66")
-    tool_force: Array = column(1, "N", "sum over all contacts of the tool", "bed_bathing.py:66")
+    tool_pos_torso: Array = column(3, "m", "world axes, from the robot's torso")
+    tool_quat_w: Array = column(4, "1 (wxyz)", "world")
+    arm_angles: Array = column(7, "rad", "joints")
+    helped_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
+    tool_force: Array = column(1, "N", "sum over all contacts of the tool")
 
 
-@observation
+@observation(source="bed_bathing.py:71")
 class PersonObs:
     """What the active person sees and feels."""
 
-    tool_pos_person: Array = column(3, "m", "world axes, from the chest", "bed_bathing.py:71")
-    tool_quat_w: Array = column(4, "1 (wxyz)", "world", "bed_bathing.py:71")
-    person_angles: Array = column(10, "rad", "right arm's joints", "bed_bathing.py:71")
-    shoulder_pos_person: Array = column(3, "m", "world axes, from the chest", "bed_bathing.py:71")
-    elbow_pos_person: Array = column(3, "m", "world axes, from the chest", "bed_bathing.py:71")
-    wrist_pos_person: Array = column(3, "m", "world axes, from the chest", "bed_bathing.py:71")
-    force_on_person: Array = column(1, "N", "tool and robot on the person", "bed_bathing.py:71")
-    tool_on_person: Array = column(1, "N", "tool on the person", "bed_bathing.py:71")
+    tool_pos_person: Array = column(3, "m", "world axes, from the chest")
+    tool_quat_w: Array = column(4, "1 (wxyz)", "world")
+    person_angles: Array = column(10, "rad", "right arm's joints")
+    helped_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
+    force_on_person: Array = column(1, "N", "tool and robot on the person")
+    tool_on_person: Array = column(1, "N", "tool on the person")
 
 
 WIPER = ToolSpec(
@@ -190,23 +185,19 @@ class BedBathing:
     def observe(self, state: BathState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
         """What robot and person see."""
         s, tool, torso, chest = sensed, sensed.tool, sensed.torso_pos_w, sensed.person_pos_w
-        shoulder, elbow, wrist = (s.link_pos_w[name] for name in RIGHT_ARM_LINKS)
+        arm_torso, arm_chest = see_arm(s)
         robot = RobotObs(
             tool_pos_torso=tool.pos_w - torso,
             tool_quat_w=tool.quat_w,
             arm_angles=s.arm_angles,
-            shoulder_pos_torso=shoulder - torso,
-            elbow_pos_torso=elbow - torso,
-            wrist_pos_torso=wrist - torso,
+            helped_arm=arm_torso,
             tool_force=tool.force,
         )
         person = PersonObs(
             tool_pos_person=tool.pos_w - chest,
             tool_quat_w=tool.quat_w,
             person_angles=s.person_angles,
-            shoulder_pos_person=shoulder - chest,
-            elbow_pos_person=elbow - chest,
-            wrist_pos_person=wrist - chest,
+            helped_arm=arm_chest,
             force_on_person=s.force_on_person,
             tool_on_person=tool.on_person,
         )

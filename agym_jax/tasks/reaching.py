@@ -46,27 +46,27 @@ class ReachState:
     distance: Array  # [m]                                                     ()
 
 
-@observation
+@observation(source="wiki tutorial")
 class RobotObs:
     """What the robot sees."""
 
-    hand_pos_torso: Array = column(3, "m", "world axes, from the robot's torso", "wiki tutorial")
-    hand_pos_mouth: Array = column(3, "m", "world axes, from the mouth", "wiki tutorial")
-    arm_angles: Array = column(7, "rad", "joints", "wiki tutorial")
-    hand_quat_w: Array = column(4, "1 (wxyz)", "world", "wiki tutorial")
-    head_quat_w: Array = column(4, "1 (wxyz)", "world", "wiki tutorial")
+    hand_pos_torso: Array = column(3, "m", "world axes, from the robot's torso")
+    hand_pos_mouth: Array = column(3, "m", "world axes, from the mouth")
+    arm_angles: Array = column(7, "rad", "joints")
+    hand_quat_w: Array = column(4, "1 (wxyz)", "world")
+    head_quat_w: Array = column(4, "1 (wxyz)", "world")
 
 
-@observation
+@observation(source="wiki tutorial")
 class PersonObs:
     """What the active person sees and feels."""
 
-    hand_pos_person: Array = column(3, "m", "world axes, from the chest", "wiki tutorial")
-    hand_pos_mouth: Array = column(3, "m", "world axes, from the mouth", "wiki tutorial")
-    person_angles: Array = column(4, "rad", "neck and head joints", "wiki tutorial")
-    hand_quat_w: Array = column(4, "1 (wxyz)", "world", "wiki tutorial")
-    head_quat_w: Array = column(4, "1 (wxyz)", "world", "wiki tutorial")
-    force_on_person: Array = column(1, "N", "robot on the person", "wiki tutorial")
+    hand_pos_person: Array = column(3, "m", "world axes, from the chest")
+    hand_pos_mouth: Array = column(3, "m", "world axes, from the mouth")
+    person_angles: Array = column(4, "rad", "neck and head joints")
+    hand_quat_w: Array = column(4, "1 (wxyz)", "world")
+    head_quat_w: Array = column(4, "1 (wxyz)", "world")
+    force_on_person: Array = column(1, "N", "robot on the person")
 
 
 @dataclass(frozen=True)

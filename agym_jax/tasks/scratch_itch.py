@@ -15,7 +15,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from agym_jax.furniture import WHEELCHAIR
-from agym_jax.observe import column, observation
+from agym_jax.helped_arm import ArmFromChest, ArmFromTorso, see_arm
+from agym_jax.observe import column, observation, part
 from agym_jax.person.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed
@@ -53,37 +54,31 @@ class ItchState:
     force_at_target: Array  # of the tool, near the itch [N]                   ()
 
 
-@observation
+@observation(source="scratch_itch.py:74")
 class RobotObs:
     """What the robot sees."""
 
-    tool_pos_torso: Array = column(
-        3, "m", "world axes, from the robot's torso", "scratch_itch.py:74"
-    )
-    tool_quat_w: Array = column(4, "1 (wxyz)", "world", "scratch_itch.py:74")
-    tool_pos_target: Array = column(3, "m", "world axes, from the itch", "scratch_itch.py:74")
-    target_pos_torso: Array = column(3, "m", "world axes, from the torso", "scratch_itch.py:74")
-    arm_angles: Array = column(7, "rad", "joints", "scratch_itch.py:74")
-    shoulder_pos_torso: Array = column(3, "m", "world axes, from the torso", "scratch_itch.py:74")
-    elbow_pos_torso: Array = column(3, "m", "world axes, from the torso", "scratch_itch.py:74")
-    wrist_pos_torso: Array = column(3, "m", "world axes, from the torso", "scratch_itch.py:74")
-    tool_force: Array = column(1, "N", "sum over all contacts of the tool", "scratch_itch.py:74")
+    tool_pos_torso: Array = column(3, "m", "world axes, from the robot's torso")
+    tool_quat_w: Array = column(4, "1 (wxyz)", "world")
+    tool_pos_target: Array = column(3, "m", "world axes, from the itch")
+    target_pos_torso: Array = column(3, "m", "world axes, from the torso")
+    arm_angles: Array = column(7, "rad", "joints")
+    helped_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
+    tool_force: Array = column(1, "N", "sum over all contacts of the tool")
 
 
-@observation
+@observation(source="scratch_itch.py:79")
 class PersonObs:
     """What the active person sees and feels."""
 
-    tool_pos_person: Array = column(3, "m", "world axes, from the chest", "scratch_itch.py:79")
-    tool_quat_w: Array = column(4, "1 (wxyz)", "world", "scratch_itch.py:79")
-    tool_pos_target: Array = column(3, "m", "world axes, from the itch", "scratch_itch.py:79")
-    target_pos_person: Array = column(3, "m", "world axes, from the chest", "scratch_itch.py:79")
-    person_angles: Array = column(10, "rad", "right arm's joints", "scratch_itch.py:79")
-    shoulder_pos_person: Array = column(3, "m", "world axes, from the chest", "scratch_itch.py:79")
-    elbow_pos_person: Array = column(3, "m", "world axes, from the chest", "scratch_itch.py:79")
-    wrist_pos_person: Array = column(3, "m", "world axes, from the chest", "scratch_itch.py:79")
-    force_on_person: Array = column(1, "N", "tool and robot on the person", "scratch_itch.py:79")
-    force_at_target: Array = column(1, "N", "tool on the itch", "scratch_itch.py:79")
+    tool_pos_person: Array = column(3, "m", "world axes, from the chest")
+    tool_quat_w: Array = column(4, "1 (wxyz)", "world")
+    tool_pos_target: Array = column(3, "m", "world axes, from the itch")
+    target_pos_person: Array = column(3, "m", "world axes, from the chest")
+    person_angles: Array = column(10, "rad", "right arm's joints")
+    helped_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
+    force_on_person: Array = column(1, "N", "tool and robot on the person")
+    force_at_target: Array = column(1, "N", "tool on the itch")
 
 
 SCRATCHER = ToolSpec(
@@ -200,16 +195,14 @@ class ScratchItch:
     def observe(self, state: ItchState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
         """What robot and person see."""
         s, tool, torso, chest = sensed, sensed.tool, sensed.torso_pos_w, sensed.person_pos_w
-        shoulder, elbow, wrist = (s.link_pos_w[name] for name in RIGHT_ARM_LINKS)
+        arm_torso, arm_chest = see_arm(s)
         robot = RobotObs(
             tool_pos_torso=tool.pos_w - torso,
             tool_quat_w=tool.quat_w,
             tool_pos_target=tool.pos_w - state.target_pos_w,
             target_pos_torso=state.target_pos_w - torso,
             arm_angles=s.arm_angles,
-            shoulder_pos_torso=shoulder - torso,
-            elbow_pos_torso=elbow - torso,
-            wrist_pos_torso=wrist - torso,
+            helped_arm=arm_torso,
             tool_force=tool.force,
         )
         person = PersonObs(
@@ -218,9 +211,7 @@ class ScratchItch:
             tool_pos_target=tool.pos_w - state.target_pos_w,
             target_pos_person=state.target_pos_w - chest,
             person_angles=s.person_angles,
-            shoulder_pos_person=shoulder - chest,
-            elbow_pos_person=elbow - chest,
-            wrist_pos_person=wrist - chest,
+            helped_arm=arm_chest,
             force_on_person=s.force_on_person,
             force_at_target=state.force_at_target,
         )

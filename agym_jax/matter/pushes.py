@@ -1,0 +1,136 @@
+"""Pushes out of overlaps, in positions, with Coulomb friction: solids, pairs of particles, the vessel's wall.
+
+A push that undoes an overlap by ``d`` also takes back up to ``friction * d`` of what has slid along the
+contact since the beginning of the substep: the friction cone, in positions. What is less is taken back
+wholly, so a particle that sticks does not creep.
+Vectors are three arrays of coordinates (``shapes.Xyz``).
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jax import Array
+from jax.lax import rsqrt
+
+from agym_jax.matter.shapes import TINY, Touching, Xyz, add, dot, scale, sub
+from agym_jax.matter.vessels import Vessel
+
+RECOVERY = 0.05
+"""Speed at which shallow overlaps heal [m/s]: slow enough not to be seen, or felt as a bounce."""
+HEALING = 0.5
+"""Share of a deep overlap that heals in a substep: a heap that was hit hard opens again."""
+EAGER, CALM = 4.0, 2.0
+"""In a Jacobi sweep a particle with more contacts than this gets the mean of the pushes times this, in all
+sweeps of a substep but the last one, and in the last. The eager sweeps overshoot, but carry the weight of a
+pile to its bottom; the calm one always shrinks what is left. Measured on 64 settled spheres, two sweeps in
+substeps of 2 ms: worst overlap 0.48 mm and mean speed 0.9 mm/s, with calm ones only 0.93 mm and 1.3 mm/s."""
+
+
+def push_out(
+    radius: float, friction: float, pos: Xyz, start: Xyz, solids: Touching
+) -> tuple[Xyz, Array]:
+    """Push particles out of k solids: the mean of the pushes, for a particle that touches several.
+
+    Args:
+        radius: of a particle [m].
+        friction: coefficient.
+        pos: where particles are [m], each (n,).
+        start: where they were at the beginning of the substep.
+        solids: their distances from them.
+
+    Returns:
+        where particles are then, and which touched which solid (k, n).
+    """
+    depth = jnp.maximum(radius - solids.dist, 0.0)
+    touched = depth > 0
+    slid = _tangential(sub(sub(pos, start), solids.moved), solids.normal)
+    undo = jnp.minimum(1.0, friction * depth * rsqrt(_square(slid)))
+    push = _total(sub(scale(depth, solids.normal), scale(undo, slid)))
+    count = jnp.sum(touched, axis=0, dtype=depth.dtype)
+    return add(pos, scale(1.0 / jnp.maximum(count, 1.0), push)), touched
+
+
+def push_pairs(
+    radius: float, friction: float, local: Xyz, old: Xyz, contacts: Array, crowd: Array, h: float
+) -> tuple[Xyz, Array]:
+    """One Jacobi sweep over all pairs; both of a pair are pushed alike, so momentum stays.
+
+    Args:
+        radius: of a particle [m].
+        friction: coefficient.
+        local: where they are [m], each (n,).
+        old: where they were at the beginning of the substep.
+        contacts: with others, of each particle in the last sweep (n,).
+        crowd: ``EAGER`` or ``CALM`` ().
+        h: length of the substep [s].
+
+    Returns:
+        where they are then, and their contacts in this sweep.
+    """
+    apart, were = _pairs(local), _pairs(old)
+    moved = sub(apart, were)
+    square, square_then = _square(apart), _square(were)
+    inverse = rsqrt(square)
+    clear = _apart(2 * radius, square_then * rsqrt(square_then), h)
+    # a particle overlaps itself: that push is zero, but it counts as a contact
+    depth = jnp.maximum(clear - square * inverse, 0.0)
+    along = dot(moved, apart) * inverse * inverse
+    slid = jnp.maximum(dot(moved, moved) - along * along * square, TINY)
+    weight = 0.5 * jnp.minimum(1.0, crowd / jnp.maximum(contacts, 1.0))
+    both = jnp.minimum(weight[:, None], weight[None])
+    undo = both * jnp.minimum(1.0, friction * depth * rsqrt(slid))
+    push = both * depth * inverse + undo * along
+    local = add(local, _total(sub(scale(push, apart), scale(undo, moved))))
+    return local, jnp.sum(depth > 0, axis=0, dtype=depth.dtype) - 1.0
+
+
+def push_vessel(
+    vessel: Vessel, radius: float, friction: float, local: Xyz, old: Xyz, h: float
+) -> tuple[Xyz, Array]:
+    """Push particles out of the vessel's wall, to the side where they were.
+
+    Args:
+        vessel: the shape.
+        radius: of a particle [m].
+        friction: coefficient.
+        local: where particles are in the vessel's frame [m], each (n,).
+        old: where they were at the beginning of the substep, in its frame then.
+        h: length of the substep [s].
+
+    Returns:
+        where they are then, and which touched the wall.
+    """
+    gap, normal = vessel.wall(*local)
+    through = (vessel.holds(*local) != vessel.holds(*old)) & ~vessel.passes(old, local)
+    side = jnp.where(through, -1.0, 1.0)
+    clear = _apart(radius + vessel.thickness / 2, vessel.wall(*old)[0], h)
+    depth = jnp.maximum(clear - side * gap, 0.0)
+    local = add(local, scale(side * depth, normal))
+    slid = _tangential(sub(local, old), normal)
+    undo = jnp.minimum(1.0, friction * depth * rsqrt(_square(slid)))
+    return sub(local, scale(undo, slid)), depth > 0
+
+
+def _pairs(a: Xyz) -> Xyz:
+    """From every particle (first axis) to every other (second), each (n, n)."""
+    return a[0] - a[0][:, None], a[1] - a[1][:, None], a[2] - a[2][:, None]
+
+
+def _total(a: Xyz) -> Xyz:
+    """Sums over the first axis."""
+    return jnp.sum(a[0], axis=0), jnp.sum(a[1], axis=0), jnp.sum(a[2], axis=0)
+
+
+def _tangential(a: Xyz, normal: Xyz) -> Xyz:
+    """Without its part along a unit vector."""
+    return sub(a, scale(dot(a, normal), normal))
+
+
+def _square(a: Xyz) -> Array:
+    """Squared length, never zero."""
+    return jnp.maximum(dot(a, a), TINY)
+
+
+def _apart(clear: float, then: Array, h: float) -> Array:
+    """Distance to which a substep may push what belongs ``clear`` apart and was ``then`` apart [m]."""
+    return jnp.minimum(clear, then + jnp.maximum(RECOVERY * h, HEALING * (clear - then)))

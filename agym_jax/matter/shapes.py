@@ -1,0 +1,178 @@
+"""Solids that particles touch: capsules of the person, boxes of the furniture, the floor.
+
+Signed distances (negative inside) and outward normals of n points to k solids, in world coordinates.
+Square roots are guarded, so values and gradients are finite everywhere.
+
+A set of vectors is a tuple of three arrays of coordinates, ``Xyz``: an axis of length 3 is slow on every
+processor. Between k solids and n points arrays are (k, n).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+TINY = 1e-12
+"""Least squared length [m^2]."""
+
+Xyz = tuple[Array, Array, Array]
+"""Coordinates x, y and z of vectors."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Touching:
+    """Where n points are with respect to k solids."""
+
+    dist: Array  # signed, from the surface [m]                             (k, n)
+    normal: Xyz  # outward unit vector                                      each (k, n)
+    moved: Xyz  # how far the solid's nearest material moved [m]            each (k, n)
+
+    @staticmethod
+    def join(groups: Sequence[Touching]) -> Touching:
+        """The solids of several groups, one after the other."""
+        return jax.tree.map(lambda *x: jnp.concatenate(x), *groups)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Capsules:
+    """Segments with a radius; a sphere is a segment of length zero."""
+
+    a_w: Array  # one end [m]                                               (k, 3)
+    b_w: Array  # the other [m]                                             (k, 3)
+    radius: Array  # [m]                                                    (k,)
+
+    def touching(self, points_w: Xyz, before: Capsules) -> Touching:
+        """Distances of points from the capsules as they are now.
+
+        Args:
+            points_w: world [m], each (n,).
+            before: where the capsules were at the beginning of the step.
+        """
+        a, axis = columns(self.a_w[:, None]), columns((self.b_w - self.a_w)[:, None])
+        from_a = sub(points_w, a)
+        share = jnp.clip(dot(from_a, axis) / jnp.maximum(dot(axis, axis), TINY), 0.0, 1.0)
+        off = sub(from_a, scale(share, axis))
+        gap = length(off)
+        moved_a = columns((self.a_w - before.a_w)[:, None])
+        moved_b = columns((self.b_w - before.b_w)[:, None])
+        return Touching(
+            dist=gap - self.radius[:, None],
+            normal=scale(1.0 / gap, off),
+            moved=add(moved_a, scale(share, sub(moved_b, moved_a))),
+        )
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Boxes:
+    """Boxes that do not move."""
+
+    pos_w: Array  # centres [m]                                             (k, 3)
+    quat_w: Array  # wxyz                                                   (k, 4)
+    half: Array  # half sizes [m]                                           (k, 3)
+
+    def touching(self, points_w: Xyz) -> Touching:
+        """Distances of points from the boxes: exact outside, from the nearest face inside.
+
+        Args:
+            points_w: world [m], each (n,).
+        """
+        rot, half = rotation(self.quat_w[:, None]), columns(self.half[:, None])
+        rot = jnp.moveaxis(rot, (-2, -1), (0, 1))
+        local = turn_back(rot, sub(points_w, columns(self.pos_w[:, None])))
+        excess = each(lambda x, h: jnp.abs(x) - h, local, half)
+        outside = each(lambda e: jnp.maximum(e, 0.0), excess)
+        deepest = jnp.maximum(jnp.maximum(excess[0], excess[1]), excess[2])
+        gap, is_out = length(outside), deepest > 0
+        face = each(lambda e: (e == deepest).astype(gap.dtype), excess)
+        face = scale(1.0 / (face[0] + face[1] + face[2]), face)
+        towards = each(
+            lambda x, o, f: jnp.sign(x) * jnp.where(is_out, o / gap, f), local, outside, face
+        )
+        still = jnp.zeros_like(gap)
+        return Touching(
+            dist=jnp.where(is_out, gap, deepest),
+            normal=turn(rot, towards),
+            moved=(still, still, still),
+        )
+
+
+def floor_touching(points_w: Xyz, height: Array) -> Touching:
+    """Distances of points, each (n,), from a level floor at a height [m] (): one solid."""
+    dist = (points_w[2] - height)[None]
+    none = jnp.zeros_like(dist)
+    return Touching(dist=dist, normal=(none, none, none + 1.0), moved=(none, none, none))
+
+
+def no_capsules() -> Capsules:
+    """Nobody is there."""
+    return Capsules(jnp.zeros((0, 3)), jnp.zeros((0, 3)), jnp.zeros(0))
+
+
+def no_boxes() -> Boxes:
+    """No furniture."""
+    return Boxes(jnp.zeros((0, 3)), jnp.zeros((0, 4)), jnp.zeros((0, 3)))
+
+
+def rotation(quat: Array) -> Array:
+    """Rotation matrices (..., 3, 3) of quaternions wxyz (..., 4), which need not be normalised."""
+    quat = quat / jnp.sqrt(jnp.maximum(jnp.sum(quat * quat, -1, keepdims=True), TINY))
+    w, x, y, z = (quat[..., i] for i in range(4))
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
+
+
+def columns(points: Array) -> Xyz:
+    """Coordinates of points (..., 3), each (...)."""
+    return points[..., 0], points[..., 1], points[..., 2]
+
+
+def each(function: Callable[..., Array], *vectors: Xyz) -> Xyz:
+    """A function of coordinates, for x, y and z."""
+    x, y, z = zip(*vectors, strict=True)
+    return function(*x), function(*y), function(*z)
+
+
+def dot(a: Xyz, b: Xyz) -> Array:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def length(a: Xyz) -> Array:
+    """Euclidean length, differentiable at zero."""
+    return jnp.sqrt(jnp.maximum(dot(a, a), TINY))
+
+
+def add(a: Xyz, b: Xyz) -> Xyz:
+    """The sum."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def sub(a: Xyz, b: Xyz) -> Xyz:
+    """The difference."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def scale(factor: Array | float, a: Xyz) -> Xyz:
+    """A multiple."""
+    return factor * a[0], factor * a[1], factor * a[2]
+
+
+def turn(rot: Array, a: Xyz) -> Xyz:
+    """Vectors turned by rotation matrices, whose rows and columns are the first two axes (3, 3, ...)."""
+    return each(lambda row: row[0] * a[0] + row[1] * a[1] + row[2] * a[2], (rot[0], rot[1], rot[2]))
+
+
+def turn_back(rot: Array, a: Xyz) -> Xyz:
+    """Vectors turned by the inverses of rotation matrices (3, 3, ...)."""
+    return turn(jnp.swapaxes(rot, 0, 1), a)

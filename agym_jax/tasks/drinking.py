@@ -1,0 +1,218 @@
+"""Drinking: bring a cup of water to the person's mouth and pour.
+
+Assistive Gym v0.1 ``drinking.py`` (reference tasks.md section 5). The cup holds 64 drops. Of those outside
+of it, one within 3 cm of the mouth is drunk, one below 0.5 m is spilled, one that touches the person
+elsewhere is a nuisance. 48 drops drunk are a success.
+
+DEVIATION(cup-tilt): the tilt reward is -|tilt - pi/2| with the angle between the cup's axis and the
+vertical: -pi/2 for an upright cup, 0 for one that lies, -pi/2 upside down, continuous, the same for all
+robots and directions. AG takes an Euler angle, which for an upright cup jumps between -pi/2 and -3 pi/2;
+towards the person's side both are equal, the other way AG's is up to pi less.
+DEVIATION(sip-speed): the speed of a drop is read before it vanishes; AG reads it afterwards, when it is 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from agym_jax.furniture import WHEELCHAIR_UP_CLOSE
+from agym_jax.matter.checks import check
+from agym_jax.matter.particles import WATER, Contact, Particles, ParticleSpec, advance
+from agym_jax.matter.settle import fill, load_settled
+from agym_jax.matter.shapes import no_boxes
+from agym_jax.preferences import meal_terms, preference_terms
+from agym_jax.sense import Sensed
+from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.tasks import meals
+from agym_jax.tasks.meals import Fates
+
+_H = 0.5**0.5
+BOTTOM, TOP, RADIUS = -0.01, 0.115, 0.05
+"""Ends along the cup's axis, from its origin, and radius of what counts as its inside [m]. AG drinking.py."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Weights and thresholds. AG v0.1 config.ini [drinking] unless said."""
+
+    distance: float = 1.0  # distance_weight
+    action: float = 0.01  # action_weight
+    tilt: float = 0.1  # cup_tilt_weight
+    water: float = 1.0  # drinking_reward_weight
+    drunk: float = 10.0  # for each drop, AG drinking.py get_water_rewards
+    spilled: float = 1.0  # the same
+    mouth: float = 0.03  # [m], the same
+    fallen: float = 0.5  # height below which a drop is spilled [m], the same
+    share: float = 0.75  # task_success_threshold
+    preferences: Preferences = Preferences()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class DrinkState:
+    """The water of one episode and where it has gone."""
+
+    water: Particles
+    drunk: Array  # how many drops                                              ()
+    lost: Array  # drops that went non-finite, int32                            ()
+    mouth_pos_w: Array  # now [m]                                               (3,)
+
+
+CUP = ToolSpec(
+    name="cup",
+    model="tools/cup.xml",
+    # it stands along the hand's y, as in AG's PR2's
+    grasp=Pose((0.0, -0.05, -0.01), (_H, 0.0, -_H, 0.0)),
+    tip="tool_tip",
+    geoms=(*(f"cup_rim_{i}_collision" for i in range(1, 7)), "cup_body_collision"),
+    n_working=6,
+)
+INSIDE = Pose((0.0, 0.0, 0.0), (_H, -_H, 0.0, 0.0))
+"""The frame of ``matter.vessels.CUP`` in the tool's."""
+
+
+@dataclass(frozen=True)
+class Drinking:
+    """The task: data for the scene, and pure functions for the environment."""
+
+    config: Config = Config()
+    water: ParticleSpec = WATER
+    name: str = "Drinking"
+    # AG env.py and drinking.py: 0.004 s x 25, gain 0.0005 a step, 1 N m, 25 x 0.05 rad
+    control: Control = Control(
+        time_step=0.004, frame_skip=25, rate=0.0005 / 0.004, max_torque=1.0, action_scale=1.25
+    )
+    gravity: float = 0.0  # AG drinking.py reset: none on the person; the water has its own
+    arms: tuple[str, ...] = ("right",)
+    goals: tuple[tuple[str, ...], ...] = (("mouth",),)
+    tool: ToolSpec = CUP
+    seat: SeatSpec = WHEELCHAIR_UP_CLOSE
+    person: PersonSpec = meals.eater(rate=0.0005 / 0.004, max_torque=1.0)
+    episode_length: int = 200
+    robot_obs: type = meals.RobotObs
+    person_obs: type = meals.PersonObs
+
+    def __post_init__(self) -> None:
+        """Refuse what could not be simulated well.
+
+        Raises:
+            MatterError: more drops than the vessel holds, or too long steps; with the limit.
+        """
+        check(self.water, self.control.time_step, meals.THINNEST)
+
+    def start(self, key: Array, robot: str) -> Array:
+        """Where the hand starts, world [m] (1, 3). AG drinking.py reset."""
+        centre = jnp.array([[-0.2, -0.5, 1.0]])
+        return centre + jax.random.uniform(key, (1, 3), minval=-0.05, maxval=0.05)
+
+    def init(self, key: Array, sensed: Sensed) -> DrinkState:
+        """A cup of water, as it has settled for this tilt."""
+        tool = sensed.tool
+        return DrinkState(
+            water=fill(load_settled("cup"), *meals.attach(tool.pos_w, tool.quat_w, INSIDE)),
+            drunk=jnp.float32(0.0),
+            lost=jnp.int32(0),
+            mouth_pos_w=sensed.mouth_pos_w,
+        )
+
+    def advance(self, state: DrinkState, sensed: Sensed) -> tuple[DrinkState, dict[str, Array]]:
+        """Let the water move with the cup, and see what has become of every drop."""
+        mouth = sensed.mouth_pos_w
+        around = meals.obstacles(sensed, INSIDE, no_boxes())
+        water, contact = advance(self.water, state.water, around, self.control.time_step)
+        fates = fates_of(self.config, water, contact, mouth, sensed.tool.pos_w, sensed.tool.quat_w)
+        count = lambda mask: jnp.sum(mask, dtype=jnp.float32)  # noqa: E731
+        state = DrinkState(
+            water=water.remove(fates.eaten | fates.spilled | fates.hit),
+            drunk=state.drunk + count(fates.eaten),
+            lost=state.lost + contact.lost,
+            mouth_pos_w=mouth,
+        )
+        return state, {
+            "drunk": count(fates.eaten), "spilled": count(fates.spilled), "hits": count(fates.hit),
+            "speed": fates.speed,
+        }  # fmt: skip
+
+    def rewards(
+        self, state: DrinkState, events: dict[str, Array], sensed: Sensed, action: Array
+    ) -> dict[str, Array]:
+        """Weighted terms. AG drinking.py step; the action is clipped (deviation action-penalty)."""
+        c, tool = self.config, sensed.tool
+        up = axis(tool.quat_w)
+        distance = jnp.linalg.norm(state.mouth_pos_w - (tool.pos_w + TOP * up))
+        return {
+            "distance": -c.distance * distance,
+            "action": -c.action * jnp.sum(jnp.square(action)),
+            "tilt": c.tilt * tilt_reward(up),
+            "water": c.water * (c.drunk * events["drunk"] - c.spilled * events["spilled"]),
+            **preference_terms(
+                c.preferences,
+                jnp.linalg.norm(tool.vel_w),
+                sensed.force_on_person,
+                sensed.tool_on_person,  # the cup's touch is wanted, within bounds
+            ),
+            **meal_terms(c.preferences, events["hits"], events["speed"]),
+        }
+
+    def observe(self, state: DrinkState, sensed: Sensed) -> tuple[meals.RobotObs, meals.PersonObs]:
+        """What robot and person see."""
+        return meals.observe(sensed)
+
+    def success(self, state: DrinkState) -> Array:
+        """Whether three quarters of the water have been drunk ()."""
+        return state.drunk >= self.config.share * self.water.count
+
+    def markers(self, state: DrinkState) -> list[tuple[Array, float, tuple[float, ...]]]:
+        """The water that is still there, and AG's green sphere at the mouth."""
+        return [
+            (meals.drawn(state.water.pos_w, state.water.alive), self.water.radius, (0.25, 0.5, 1.0, 1.0)),
+            (state.mouth_pos_w, 0.01, (0.0, 1.0, 0.0, 1.0)),
+        ]  # fmt: skip
+
+
+def axis(cup_quat_w: Array) -> Array:
+    """Where the cup opens to: its y axis in the world (3,)."""
+    w, x, y, z = cup_quat_w
+    return jnp.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
+
+
+def tilt_reward(up: Array) -> Array:
+    """Minus how far the cup's axis (3,) is from level [rad] (): -|tilt - pi/2|."""
+    return -jnp.abs(jnp.arcsin(jnp.clip(up[2], -1.0, 1.0)))
+
+
+def in_cup(points_w: Array, cup_pos_w: Array, cup_quat_w: Array) -> Array:
+    """Which points (n, 3) count as inside of the cup: AG's cylinder (n,)."""
+    up, away = axis(cup_quat_w), points_w - cup_pos_w
+    height = away @ up
+    radius = jnp.linalg.norm(away - height[:, None] * up, axis=-1)
+    return (height >= BOTTOM) & (height <= TOP) & (radius <= RADIUS)
+
+
+def fates_of(
+    config: Config, water: Particles, contact: Contact, mouth_pos_w: Array, cup_pos_w: Array,
+    cup_quat_w: Array,
+) -> Fates:  # fmt: skip
+    """What has become of every drop outside of the cup, in AG's order: drunk, else spilled, else a hit.
+
+    Args:
+        config: thresholds.
+        water: at the end of the control step.
+        contact: what it touched during the step.
+        mouth_pos_w: now [m] (3,).
+        cup_pos_w: now [m] (3,).
+        cup_quat_w: now, wxyz (4,).
+    """
+    out = water.alive & ~in_cup(water.pos_w, cup_pos_w, cup_quat_w)
+    drunk = out & (jnp.linalg.norm(water.pos_w - mouth_pos_w, axis=-1) < config.mouth)
+    spilled = out & ~drunk & (water.pos_w[:, 2] < config.fallen)
+    hit = out & ~drunk & ~spilled & contact.person
+    speed = jnp.sum(jnp.where(drunk, jnp.linalg.norm(water.vel_w, axis=-1), 0.0))
+    return Fates(drunk, spilled, hit, speed)
+
+
+DRINKING = Drinking()

@@ -1,0 +1,230 @@
+"""Feeding: bring a spoonful of food to the person's mouth.
+
+Assistive Gym v0.1 ``feeding.py`` (reference tasks.md section 4). Eight pieces lie in the spoon. A piece
+within 2 cm of the mouth is eaten; one that falls below 0.5 m or touches table or bowl is spilled; one
+that touches the person elsewhere is a nuisance, once. Six pieces eaten are a success.
+
+DEVIATION(bowl-draw): the bowl's place and the spoon's start are drawn independently; in AG the spoon
+starts 0.4 m above the bowl, wherever that stands.
+DEVIATION(bowl-shape): food meets the bowl as a box of the same height and footprint area; what touches it
+is spilled, and gone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from agym_jax.furniture import BOWL, TABLE, WHEELCHAIR_AT_TABLE
+from agym_jax.matter.checks import check
+from agym_jax.matter.particles import FOOD, Contact, Particles, ParticleSpec, advance
+from agym_jax.matter.settle import fill, load_settled
+from agym_jax.matter.shapes import Boxes
+from agym_jax.matter.vessels import SPOON_ORIGIN_IN_AG
+from agym_jax.preferences import meal_terms, preference_terms
+from agym_jax.sense import Sensed
+from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.tasks import meals
+from agym_jax.tasks.meals import Fates
+
+_H = 0.5**0.5
+ABOVE_BOWL = (0.0, -0.1, 0.425)
+"""Of the hand's start, from where the bowl stands [m]. AG feeding.py reset: 0.4 above its middle."""
+BOWL_SPREAD = (0.05, 0.05, 0.0)  # [m], AG feeding.py reset
+START_SPREAD = 0.05  # [m], AG feeding.py reset
+TABLE_TOP = ((0.0, 0.0, 0.7), (0.75, 0.5, 0.025))
+"""Middle, from the table's place, and half sizes [m]. furniture.md section 4."""
+BOWL_BOX = ((0.0, 0.0, 0.03), (0.064, 0.064, 0.03))
+"""Of the bowl: a cylinder of radius 0.072 and height 0.06 [m]. furniture.md section 5."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Weights and thresholds. AG v0.1 config.ini [feeding] unless said."""
+
+    distance: float = 1.0  # distance_weight
+    action: float = 0.01  # action_weight
+    food: float = 1.0  # food_reward_weight
+    eaten: float = 20.0  # for each piece, AG feeding.py get_food_rewards
+    spilled: float = 5.0  # the same
+    mouth: float = 0.02  # [m], the same
+    fallen: float = 0.5  # height below which a piece is spilled [m], the same
+    share: float = 0.75  # task_success_threshold
+    preferences: Preferences = Preferences()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class FeedState:
+    """The food of one episode and where it has gone."""
+
+    food: Particles
+    has_hit: Array  # pieces that have touched the person                       (n,) bool
+    eaten: Array  # how many                                                    ()
+    lost: Array  # pieces that went non-finite, int32                           ()
+    bowl_pos_w: Array  # where the bowl stands [m]                              (3,)
+    mouth_pos_w: Array  # now [m]                                               (3,)
+
+
+SPOON = ToolSpec(
+    name="spoon",
+    model="tools/spoon.xml",
+    # the handle lies across the hand, along its -x, the bowl opens along the hand's y
+    grasp=Pose((0.1, -0.0225, 0.03), (_H, 0.0, -_H, 0.0)),
+    tip="tool_tip",
+    geoms=("spoon_middle_collision", "spoon_right_collision", "spoon_left_collision",
+           "spoon_handle_collision"),
+    n_working=3,
+)  # fmt: skip
+DISH = Pose(SPOON_ORIGIN_IN_AG, (_H, -_H, 0.0, 0.0))
+"""The frame of ``matter.vessels.SPOON`` in the tool's."""
+
+
+@dataclass(frozen=True)
+class Feeding:
+    """The task: data for the scene, and pure functions for the environment."""
+
+    config: Config = Config()
+    food: ParticleSpec = FOOD
+    name: str = "Feeding"
+    # AG env.py, feeding.py: 0.01 s x 10 of 5 solver sub-steps, gain 0.0005 each, 5 x 1 N m, 10 x 0.05 rad
+    control: Control = Control(
+        time_step=0.01, frame_skip=10, rate=0.0005 / 0.002, max_torque=5.0, action_scale=0.5
+    )
+    gravity: float = 0.0  # AG feeding.py reset: none on the person; the food has its own
+    arms: tuple[str, ...] = ("right",)
+    goals: tuple[tuple[str, ...], ...] = (("mouth",),)
+    tool: ToolSpec = SPOON
+    seat: SeatSpec = WHEELCHAIR_AT_TABLE
+    person: PersonSpec = meals.eater(rate=0.0005 / 0.002, max_torque=5.0)
+    episode_length: int = 200
+    robot_obs: type = meals.RobotObs
+    person_obs: type = meals.PersonObs
+
+    def __post_init__(self) -> None:
+        """Refuse what could not be simulated well.
+
+        Raises:
+            MatterError: more pieces than the vessel holds, or too long steps; with the limit.
+        """
+        check(self.food, self.control.time_step, meals.THINNEST)
+
+    def start(self, key: Array, robot: str) -> Array:
+        """Where the hand starts, world [m] (1, 3): above the bowl. AG feeding.py reset."""
+        key_bowl, key_hand = jax.random.split(key)
+        noise = jax.random.uniform(key_hand, (1, 3), minval=-START_SPREAD, maxval=START_SPREAD)
+        return _draw_bowl(key_bowl) + jnp.array(ABOVE_BOWL) + noise
+
+    def init(self, key: Array, sensed: Sensed) -> FeedState:
+        """A full spoon, as it has settled for this tilt, and a bowl somewhere near its place."""
+        tool = sensed.tool
+        dish = meals.attach(tool.pos_w, tool.quat_w, DISH)
+        return FeedState(
+            food=fill(load_settled("spoon"), *dish),
+            has_hit=jnp.zeros(self.food.count, bool),
+            eaten=jnp.float32(0.0),
+            lost=jnp.int32(0),
+            bowl_pos_w=_draw_bowl(key),
+            mouth_pos_w=sensed.mouth_pos_w,
+        )
+
+    def advance(self, state: FeedState, sensed: Sensed) -> tuple[FeedState, dict[str, Array]]:
+        """Let the food move with the spoon, and see what has become of every piece."""
+        mouth = sensed.mouth_pos_w
+        around = meals.obstacles(sensed, DISH, _furniture(state.bowl_pos_w))
+        food, contact = advance(self.food, state.food, around, self.control.time_step)
+        fates = fates_of(self.config, food, contact, state.has_hit, mouth)
+        count = lambda mask: jnp.sum(mask, dtype=jnp.float32)  # noqa: E731
+        state = FeedState(
+            food=food.remove(fates.eaten | fates.spilled),
+            has_hit=state.has_hit | fates.hit,
+            eaten=state.eaten + count(fates.eaten),
+            lost=state.lost + contact.lost,
+            bowl_pos_w=state.bowl_pos_w,
+            mouth_pos_w=mouth,
+        )
+        return state, {
+            "eaten": count(fates.eaten), "spilled": count(fates.spilled), "hits": count(fates.hit),
+            "speed": fates.speed,
+        }  # fmt: skip
+
+    def rewards(
+        self, state: FeedState, events: dict[str, Array], sensed: Sensed, action: Array
+    ) -> dict[str, Array]:
+        """Weighted terms. AG feeding.py step; the action is clipped (deviation action-penalty)."""
+        c = self.config
+        distance = jnp.linalg.norm(state.mouth_pos_w - sensed.tool.pos_w)
+        return {
+            "distance": -c.distance * distance,
+            "action": -c.action * jnp.sum(jnp.square(action)),
+            "food": c.food * (c.eaten * events["eaten"] - c.spilled * events["spilled"]),
+            **preference_terms(
+                c.preferences,
+                jnp.linalg.norm(sensed.tool.vel_w),
+                sensed.force_on_person,
+                sensed.tool_on_person,  # the spoon's touch is wanted, within bounds
+            ),
+            **meal_terms(c.preferences, events["hits"], events["speed"]),
+        }
+
+    def observe(self, state: FeedState, sensed: Sensed) -> tuple[meals.RobotObs, meals.PersonObs]:
+        """What robot and person see."""
+        return meals.observe(sensed)
+
+    def success(self, state: FeedState) -> Array:
+        """Whether three quarters of the food have been eaten ()."""
+        return state.eaten >= self.config.share * self.food.count
+
+    def markers(self, state: FeedState) -> list[tuple[Array, float, tuple[float, ...]]]:
+        """The food that is still there, and AG's green sphere at the mouth."""
+        return [
+            (meals.drawn(state.food.pos_w, state.food.alive), self.food.radius, (0.86, 0.42, 0.24, 1.0)),
+            (state.mouth_pos_w, 0.01, (0.0, 1.0, 0.0, 1.0)),
+        ]  # fmt: skip
+
+    def props(self, state: FeedState) -> dict[str, Array]:
+        """Where the bowl stands, world [m] (3,)."""
+        return {BOWL.name: state.bowl_pos_w}
+
+
+def fates_of(
+    config: Config, food: Particles, contact: Contact, has_hit: Array, mouth_pos_w: Array
+) -> Fates:
+    """What has become of every piece, in AG's order: eaten, else spilled, else a first hit.
+
+    Args:
+        config: thresholds.
+        food: at the end of the control step.
+        contact: what it touched during the step.
+        has_hit: pieces that touched the person before (n,).
+        mouth_pos_w: now [m] (3,).
+    """
+    away = jnp.linalg.norm(food.pos_w - mouth_pos_w, axis=-1)
+    eaten = food.alive & (away < config.mouth)
+    fallen = food.pos_w[:, 2] < config.fallen
+    spilled = food.alive & ~eaten & (fallen | contact.furniture)
+    hit = food.alive & ~eaten & ~spilled & contact.person & ~has_hit
+    speed = jnp.sum(jnp.where(eaten, jnp.linalg.norm(food.vel_w, axis=-1), 0.0))
+    return Fates(eaten, spilled, hit, speed)
+
+
+def _draw_bowl(key: Array) -> Array:
+    """Where a bowl stands, world [m] (3,)."""
+    spread = jnp.array(BOWL_SPREAD)
+    return jnp.array(BOWL.pose.pos) + spread * jax.random.uniform(key, (3,), minval=-1.0)
+
+
+def _furniture(bowl_pos_w: Array) -> Boxes:
+    """Table and bowl."""
+    (top, top_half), (bowl, bowl_half) = TABLE_TOP, BOWL_BOX
+    return Boxes(
+        pos_w=jnp.stack([jnp.array(TABLE.pose.pos) + jnp.array(top), bowl_pos_w + jnp.array(bowl)]),
+        quat_w=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (2, 1)),
+        half=jnp.array([top_half, bowl_half]),
+    )
+
+
+FEEDING = Feeding()

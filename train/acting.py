@@ -40,10 +40,16 @@ class Baseline:
     def __call__(
         self, obs: jax.Array, key: jax.Array | None = None, deterministic: bool = True
     ) -> jax.Array:
-        """The action for an observation; "random" needs the key."""
+        """The action for an observation.
+
+        Raises:
+            ValueError: a random action was asked for without a key.
+        """
         shape = (*obs.shape[:-1], self.action_size)
         if self.name == "zero":
             return jnp.zeros(shape)
+        if key is None:
+            raise ValueError("A random action needs a key: policy(obs, key).")
         return jax.random.uniform(key, shape, minval=-1.0, maxval=1.0)
 
 

@@ -18,10 +18,7 @@ from train.networks import Architecture, make_networks, sample_action
 from train.policy import Policy
 from train.rollout import Batch
 
-STARTING = (
-    "init_noise_std",
-    "policy_head_gain",
-)  # of an architecture; only the beginning needs them
+STARTING = ("init_noise_std", "policy_head_gain")  # of an architecture; matter at the start only
 
 
 class Algorithm(Protocol):
@@ -75,7 +72,8 @@ class OneLearner:
         env: says how large observations and actions are, and who acts.
     """
 
-    trainer, losses = "ppo", LOSSES
+    trainer = "ppo"
+    losses: tuple[str, ...] = LOSSES
 
     def __init__(self, config: LearnConfig, env: Any) -> None:
         self.config, self.layout = config, env.layout_version

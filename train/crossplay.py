@@ -111,20 +111,16 @@ def crossplay(
 
 
 def table(matrix: Matrix) -> str:
-    """Success of all pairs (and the return below it), rows are robots."""
+    """Success and mean return of all pairs; rows are robots, columns people."""
     robots, people = (list(dict.fromkeys(key[i] for key in matrix)) for i in (0, 1))
-    letters = {
-        name: f"{kind}{i}"
-        for kind, group in (("R", robots), ("P", people))
-        for i, name in enumerate(group, 1)
-    }
-    lines = [f"  {letters[name]:<4}{name}" for name in (*robots, *people)]
+    lines = [f"  R{i:<3}{name}" for i, name in enumerate(robots, 1)]
+    lines += [f"  P{i:<3}{name}" for i, name in enumerate(people, 1)]
     lines.append("success, and return, of a robot (row) with a person (column):")
-    lines.append("    " + "".join(f"{letters[person]:>18}" for person in people))
-    for robot in robots:
+    lines.append("    " + "".join(f"{f'P{i}':>18}" for i in range(1, len(people) + 1)))
+    for i, robot in enumerate(robots, 1):
         cells = [matrix[robot, person] for person in people]
         shown = [f"{cell.success:.1%} {cell.returns.mean():9.1f}" for cell in cells]
-        lines.append(f"{letters[robot]:<4}" + "".join(f"{text:>18}" for text in shown))
+        lines.append(f"R{i:<3}" + "".join(f"{text:>18}" for text in shown))
     return "\n".join(lines)
 
 

@@ -24,7 +24,8 @@ def parse_hosts(hosts: str) -> tuple[str, int, int] | None:
         return None
     address, *numbers = hosts.split(",")
     whole = len(numbers) == 2 and all(n.isascii() and n.isdigit() for n in numbers)
-    if not whole or not address.rpartition(":")[2].isdigit() or ":" not in address:
+    host, _, port = address.rpartition(":")
+    if not whole or not host or not port.isdigit() or int(numbers[0]) < 1:
         raise ConfigError(f"--hosts {hosts!r} names no machines. {FORM}")
     count, index = map(int, numbers)
     if index >= count:

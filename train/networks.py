@@ -47,8 +47,9 @@ def make_networks(arch: Architecture, value_size: int | None = None) -> ppo_netw
         value_size: size of what the value network reads, if not ``arch.observation_size``.
     """
     if value_size is not None:
+        networks: Any = make_networks(arch)
         wider = make_networks(replace(arch, observation_size=value_size))
-        return make_networks(arch).replace(value_network=wider.value_network)
+        return networks.replace(value_network=wider.value_network)
     # Brax makes a constant here, which must not belong to whichever function is being traced.
     with jax.ensure_compile_time_eval():
         return ppo_networks.make_ppo_networks(

@@ -16,7 +16,7 @@ from train.envs import make_env, refuse_active_human
 from train.policy import Policy
 from train.progress import Progress
 from train.result import TrainResult
-from train.session import command_line, run_session, settle
+from train.session import Policies, command_line, run_session, settle
 
 OnLog = Callable[[Row, Callable[[], Policy]], bool | None]
 
@@ -50,7 +50,10 @@ def train(
     refuse_active_human(env, config.allow_joint_observation)
     config, mesh = settle(env, config)
     algorithm = OneLearner(config, env)
-    told = on_log and (lambda row, policies: on_log(row, lambda: policies()[algorithm.agent]))
+
+    def told(row: Row, policies: Callable[[], Policies]) -> bool | None:
+        return on_log(row, lambda: policies()[algorithm.agent]) if on_log else None
+
     return run_session(env, config, algorithm, mesh, progress, told)
 
 

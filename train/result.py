@@ -75,5 +75,6 @@ def summary(result: TrainResult) -> str:
         f"in {duration(result.train_seconds)} ({result.steps_per_second:,.0f} steps/s)."
     )
     if result.folder:
-        text += f"\nPolicy, curve.png, curve.jsonl, checkpoints: {result.folder}"
+        what = "Policy" if len(result.policies) == 1 else "Policies"
+        text += f"\n{what}, curve.png, curve.jsonl, checkpoints: {result.folder}"
     return text

@@ -218,9 +218,8 @@ def _compile(
     if mesh:
         first, run = spread(mesh, first, run)
         learner, key = everywhere(mesh, (learner, key))
-    with jax.default_matmul_precision(
-        "highest"
-    ):  # TF32 hurts; ``command_line`` sets it for all else
+    # TF32 hurts small networks; ``command_line`` sets it for all else.
+    with jax.default_matmul_precision("highest"):
         reset = jax.jit(first).lower(key).compile()
         worlds = reset(key)
         run = jax.jit(run).lower(learner, worlds, np.int32(1), np.float32(1)).compile()

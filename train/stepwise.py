@@ -1,6 +1,6 @@
 """One compiled environment step for everything: evaluation and training driven from Python.
 
-Compiling the environment takes a minute on a CPU, and a program of many updates (``train.learner``)
+Compiling the environment takes a minute on a CPU, and a program of many updates (``train.updates``)
 or of whole episodes (``train.evaluate``) contains it anew. Here reset and step of a batch are
 compiled once and called again and again, which costs nothing where a step takes milliseconds.
 """

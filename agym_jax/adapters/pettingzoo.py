@@ -75,11 +75,11 @@ class PettingZooEnv(ParallelEnv):
         """The pure environment underneath."""
         return self._world.core
 
-    def observation_space(self, agent: str) -> spaces.Box:
+    def observation_space(self, agent: str) -> spaces.Space:
         """What an agent sees."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: str) -> spaces.Box:
+    def action_space(self, agent: str) -> spaces.Space:
         """What an agent can do."""
         return self.action_spaces[agent]
 

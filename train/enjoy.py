@@ -20,12 +20,11 @@ import tyro
 
 from agym_jax.errors import AgymError
 from agym_jax.meshes import check_looks
+from train.acting import AnyPolicy, find_policies, load_policies
 from train.configs import Count
 from train.envs import make_env, programs
 from train.errors import ConfigError
-from train.evaluate import BASELINES, AnyPolicy, baseline_policy
 from train.npz import check_writable
-from train.policy import find_policy, load_policy
 from train.rollout import FORCE_KEY
 
 SHEET_PICTURES = 20
@@ -40,7 +39,9 @@ class EnjoyConfig:
     load_dir: str | None = None
     """--save-dir of a training run; without it and --policy, the policy shipped with agym_jax."""
     policy: str | None = None
-    """A policy file, or "zero" or "random"."""
+    """A policy file, or "zero" or "random"; the robot's, where there is one for each agent."""
+    person_policy: str | None = None
+    """The same for a person who acts; without it, the one that lies beside the robot's."""
     episodes: Count = 1
     """How many episodes, one after the other."""
     seed: int = 1001
@@ -224,17 +225,11 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
     warnings.simplefilter("default")
     try:
         _check_outputs(config)
-        path = None
-        if config.policy not in BASELINES:
-            path = find_policy(config.env_name.rpartition(":")[2], config.load_dir, config.policy)
+        files = find_policies(config.env_name, config.load_dir, config.policy, config.person_policy)
         env = make(config.env_name, config.impl)
         if config.looks != "primitives":  # before anything is compiled
             check_looks(config.looks, env.robot)
-        if path is None:
-            policy = baseline_policy(str(config.policy), env.action_size)
-        else:
-            policy = load_policy(path, env, config.any_env)
-        play(config, env, policy)
+        play(config, env, load_policies(files, env, config.any_env))
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2

@@ -280,7 +280,9 @@ def _add_contacts(
                     name=f"{kind}|{a}|{b}", type=mujoco.mjtSensor.mjSENS_CONTACT,
                     objtype=mujoco.mjtObj.mjOBJ_GEOM, objname=a,
                     reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=b,
-                    intprm=[bits, 2, 1],  # force and position of the contact of largest force
+                    # force and position of the deepest contact; not of that of largest force: where that
+                    # is zero, MJX-JAX 3.17 reports the force of another pair
+                    intprm=[bits, 1, 1],
                 )  # fmt: skip
 
 

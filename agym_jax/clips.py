@@ -18,13 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from agym_jax.errors import AgymError, did_you_mean
+from agym_jax.errors import AgymError, MissingExtraError, did_you_mean
 
 __all__ = ["FrameError", "MissingExtraError", "OutputPathError", "contact_sheet", "write_clip"]
-
-
-class MissingExtraError(AgymError, ImportError):
-    """An optional Python package that this needs is not installed."""
 
 
 class OutputPathError(AgymError, OSError):

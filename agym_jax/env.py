@@ -278,11 +278,20 @@ class AssistiveEnv:
 
     # -- pictures --------------------------------------------------------------------------------
 
-    def to_mujoco(self, state: State) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    def to_mujoco(
+        self, state: State, looks: str = "primitives"
+    ) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """One world as C MuJoCo's model and data, with everything that people look at.
 
         Args:
             state: of one world (index a batch first, with ``jax.tree.map(lambda x: x[i], state)``).
+            looks: what the robot looks like: ``"primitives"``, or ``"meshes"`` of other packages, see
+                ``agym_jax.meshes``.
+
+        Raises:
+            UnknownNameError: there are no such looks.
+            MissingExtraError: the meshes' package is not installed: ``pip install "agym_jax[meshes]"``.
+            MeshError: this robot has no meshes, or they do not fit it.
         """
         p, place = state.episode.person, state.episode.placement
         (x, y, z), (qw, qx, qy, qz) = place.base_pos.tolist(), place.base_quat.tolist()
@@ -290,7 +299,7 @@ class AssistiveEnv:
         pose = jax.tree.map(np.asarray, state.episode.pose)
         model = compose(
             self.task, self.robot, self.active, float(p.sex), float(p.stature), float(p.girth),
-            float(p.limit_scale), pose, base, visual=True,
+            float(p.limit_scale), pose, base, visual=True, looks=looks,
             surfaces=self._surfaces(state),
         )  # fmt: skip
         if isinstance(self.task, Furnished):

@@ -42,6 +42,14 @@ class MissingAssetError(AgymError, FileNotFoundError):
     """A packaged file that is not there."""
 
 
+class MissingExtraError(AgymError, ImportError):
+    """An optional Python package that this needs is not installed."""
+
+
+class MeshError(AgymError, RuntimeError):
+    """Meshes that a robot does not have, that cannot be read, or that do not fit it."""
+
+
 class ActionError(AgymError, ValueError):
     """An action of the wrong shape, or with NaN or infinite entries."""
 

@@ -25,6 +25,7 @@ from agym_jax.assets import asset_path
 from agym_jax.contacts import contact_pairs, is_sensed, tool_prefixes
 from agym_jax.errors import UnknownNameError
 from agym_jax.index import Index, ToolIndex
+from agym_jax.meshes import LOOKS, dress
 from agym_jax.person import anthropometry, body
 from agym_jax.person import pose as person_pose
 from agym_jax.person.model import build as build_person
@@ -86,6 +87,7 @@ def compose(
     visual: bool = False,
     solid: bool = False,
     surfaces: Sequence[Surface] = (),
+    looks: str = "primitives",
 ) -> mujoco.MjModel:
     """Compile one person's scene.
 
@@ -102,12 +104,15 @@ def compose(
         visual: with lights, cameras, floor and the geoms that people look at.
         solid: with every collision geom and link, not only those that may touch in physics.
         surfaces: meshes to draw; ``draw_surfaces`` moves their vertices.
+        looks: with ``visual``, what the robot looks like: "primitives", or "meshes" of other packages.
 
     Raises:
         SpecError: robot, tool, seat or task do not fit together, see ``validate``.
         UnknownNameError: the task names a joint or link that no person has.
     """
     check_task(task)
+    if looks not in LOOKS:
+        raise UnknownNameError("looks", looks, LOOKS)
     arms, moving = robot.arms_for(task), task.person.moving(active)
     spec = _load("scene.xml") if visual else mujoco.MjSpec()
     if visual and task.seat.front is not None:
@@ -121,6 +126,8 @@ def compose(
     check_seat(seat_spec, task.seat)
     if task.tool is not None:
         check_tool(_load(task.tool.model), task.tool)
+    if visual and looks == "meshes":
+        dress(robot_spec, robot)
     _weld_the_rest(robot_spec, robot, task, arms)
     robot_root = robot_spec.worldbody.first_body().name
     _attach(spec, robot_spec, base, "robot/")
@@ -295,7 +302,9 @@ def _add_contacts(
                     name=f"{kind}|{a}|{b}", type=mujoco.mjtSensor.mjSENS_CONTACT,
                     objtype=mujoco.mjtObj.mjOBJ_GEOM, objname=a,
                     reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=b,
-                    intprm=[bits, 2, 1],  # force and position of the contact of largest force
+                    # force and position of the deepest contact; not of that of largest force: where that
+                    # is zero, MJX-JAX 3.17 reports the force of another pair
+                    intprm=[bits, 1, 1],
                 )  # fmt: skip
 
 

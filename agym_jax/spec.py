@@ -17,6 +17,7 @@ from agym_jax.errors import SpecError
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
+Rgba = tuple[float, float, float, float]
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -96,6 +97,32 @@ class BaseSearch:
 
 
 @dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
+class MeshModel:
+    """Another package's model of the robot, MJCF or URDF, whose meshes it may wear in pictures.
+
+    Links of one name in both wear them, and must have the same joints; what the package fixes to a link
+    that the robot lacks goes with the nearest link that it has. See ``agym_jax.meshes``.
+    """
+
+    package: str  # on PyPI
+    file: str  # of the package, beside its ``.dist-info``
+    root: tuple[str, str]  # a link of that model, and the robot's that lies in the same place
+    angles: Mapping[str, float] = field(default_factory=dict)  # joint there -> ours at 0, or held
+    colours: Mapping[Rgba, Rgba] = field(default_factory=dict)  # there -> what is painted instead
+
+
+@dataclass(frozen=True)
+class MeshPart:
+    """A mesh of another package on one of the robot's links: STL, OBJ or MSH, in metres."""
+
+    package: str  # on PyPI
+    file: str  # of the package, beside its ``.dist-info``
+    link: str
+    rgba: Rgba
+    pose: Pose = Pose()  # of the file's frame in the link's
+
+
+@dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
 class RobotSpec:
     """A robot: its MJCF and the names in it that a scene needs."""
 
@@ -111,6 +138,7 @@ class RobotSpec:
     start_rotations: Mapping[str, Quat] = field(default_factory=dict)  # task -> hand orientation
     searches: Mapping[str, BaseSearch] = field(default_factory=dict)  # task -> where to look
     base_height: float = 0.0  # of the base of a robot that stands on the floor [m]
+    meshes: tuple[MeshModel | MeshPart, ...] = ()  # what it may look like in pictures
 
     def arm(self, side: str) -> Arm:
         """The arm on one side; raises SpecError if the robot lacks it."""

@@ -1,6 +1,6 @@
-"""The README's tables, made from ``benchmarks/results``: ``python -m benchmarks.tables [--check]``.
+"""Tables of results, made from ``benchmarks/results``: ``python -m benchmarks.tables [--check]``.
 
-A table stands between ``<!-- table:NAME -->`` and ``<!-- /table:NAME -->``. Of several results of the
+They stand in ``PAGES``, a table between ``<!-- table:NAME -->`` and ``<!-- /table:NAME -->``. Of several results of the
 same configuration the last line of the file counts. Results with lost contacts are left out.
 """
 
@@ -14,15 +14,18 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+from agym_jax.robots import ROBOTS
+from agym_jax.tasks import TASKS
+
 ROOT = Path(__file__).resolve().parent.parent
-README = ROOT / "README.md"
+PAGES = (ROOT / "README.md", ROOT / "docs" / "benchmarks.md")
 RESULTS = ROOT / "benchmarks" / "results"
 NOTHING = "*No results yet.*"
 Line = dict[str, Any]
 
 
 class TableError(ValueError):
-    """A table that the README names and nobody makes, or a broken marker."""
+    """A table that a page names and nobody makes, or a broken marker."""
 
 
 def read_results(name: str, keys: Sequence[str], folder: Path = RESULTS) -> list[Line]:
@@ -71,6 +74,26 @@ def table(
     head, *body = (f"| {' | '.join(map(str, row))} |" for row in cells)
     return "\n".join(
         [head, "|" + "---|" * len(columns), *body, "", f"{note} {about(lines)}".strip()]
+    )
+
+
+def matrix(lines: Sequence[Line], cell: Callable[[Line], str], note: str = "") -> str:
+    """A Markdown table of still people's environments: a row for each task, a column for each robot.
+
+    Args:
+        lines: results, one for each environment.
+        cell: what stands in the table for a line.
+        note: what to say before the device and the commits.
+    """
+    pairs = {(t, r): f"{t}{r}-v0" for t in TASKS for r in ROBOTS}
+    of = {line["env"]: cell(line) for line in lines if line["env"] in pairs.values()}
+    if not of:
+        return NOTHING
+    rows = [["", *ROBOTS], *([t, *(of.get(pairs[t, r], "") for r in ROBOTS)] for t in TASKS)]
+    head, *body = (f"| {' | '.join(row)} |" for row in rows if any(row[1:]))
+    used = [line for line in lines if line["env"] in of]
+    return "\n".join(
+        [head, "|" + "---|" * len(rows[0]), *body, "", f"{note} {about(used)}".strip()]
     )
 
 
@@ -157,6 +180,23 @@ def reach(folder: Path = RESULTS) -> str:
     return table(lines, columns, itemgetter("env"))
 
 
+def success(folder: Path = RESULTS) -> str:
+    """How often shipped policies succeed, by task and robot."""
+    lines = read_results("evaluation", ("env", "policy"), folder)
+    mode = [x for x in lines if x["policy"] == "mode"]
+    episodes = several(f"{x['episodes']:,}" for x in mode)
+    note = f"Success of the shipped policies, {episodes} people each;"
+    return matrix(mode, lambda x: f"{x['success']:.0%}", note)
+
+
+def speed(folder: Path = RESULTS) -> str:
+    """Steps per second on Warp in 4,096 worlds, by task and robot."""
+    lines = read_results("throughput", ("env", "impl", "num_envs"), folder)
+    warp = [x for x in lines if x["impl"] == "warp" and x["num_envs"] == 4096]
+    note = "Control steps/s of the whole environment, 4,096 worlds, Warp;"
+    return matrix(warp, lambda x: f"{x['steps_per_s'] / 1000:,.0f} k", note)
+
+
 def _sharing(line: Line) -> str:
     """How many trainings ran on the GPU at once, if it was more than one."""
     return f", {line['sharing'].split()[0]} on one GPU" if "sharing" in line else ""
@@ -178,6 +218,8 @@ def training(folder: Path = RESULTS) -> str:
 
 
 TABLES: dict[str, Callable[..., str]] = {
+    "success": success,
+    "speed": speed,
     "training": training,
     "throughput": throughput,
     "policies": policies,
@@ -206,16 +248,19 @@ def fill(text: str, folder: Path = RESULTS) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status, 1 if ``--check`` finds the README out of date."""
+    """The command line; returns the exit status, 1 if ``--check`` finds a page out of date."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    text = README.read_text()
-    wanted = fill(text)
-    if "--check" in arguments:
-        if text == wanted:
-            return 0
-        print("README.md is out of date: python -m benchmarks.tables", file=sys.stderr)
+    stale = False
+    for page in PAGES:
+        text = page.read_text()
+        wanted = fill(text)
+        if text != wanted and "--check" in arguments:
+            print(f"{page.name} is out of date: python -m benchmarks.tables", file=sys.stderr)
+            stale = True
+        elif text != wanted:
+            page.write_text(wanted)
+    if stale:
         return 1
-    README.write_text(wanted)
     return 0
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -107,6 +109,15 @@ def static_env() -> agym_jax.Env:
 def active_env() -> agym_jax.Env:
     """The same with a person who acts."""
     return agym_jax.make(ACTIVE, impl="jax")
+
+
+@pytest.fixture
+def restored_settings() -> Iterator[None]:
+    """What a command line of ``train`` sets in this process is as before after the test."""
+    handler, precision = signal.getsignal(signal.SIGTERM), jax.config.jax_default_matmul_precision
+    yield
+    signal.signal(signal.SIGTERM, handler)
+    jax.config.update("jax_default_matmul_precision", precision)
 
 
 @pytest.fixture

@@ -108,7 +108,7 @@ class FakeEnv:
             position=position, time=time, obs=obs, reward=-dist, done=done, metrics=metrics
         )
 
-    def to_mujoco(self, state: FakeState) -> tuple[Any, Any]:
+    def to_mujoco(self, state: FakeState, looks: str = "primitives") -> tuple[Any, Any]:
         """A ball in front of a camera."""
         import mujoco
 

@@ -7,7 +7,7 @@ own actions: the arm reaches, its motors are fast enough, and food and water go 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -19,16 +19,25 @@ from scipy.spatial.transform import Rotation, Slerp
 from agym_jax import kinematics
 from agym_jax.person.solids import link_capsules
 
-YAWS = np.deg2rad([0.0, 20.0, -20.0, 40.0, -40.0, 60.0, -60.0])
+YAWS = np.deg2rad([0.0, 20.0, -20.0, 45.0, -45.0, 70.0, -70.0])
 """Turns of the hand about the vertical, from how it starts."""
-SIDES = np.deg2rad([0.0, 25.0, -25.0, 50.0, -50.0])
+SIDES = np.deg2rad([0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0])
 """From where a cup pours, besides: it is round."""
-SPOUTS = ((0.008, 0.012), (0.016, 0.015), (0.024, 0.018), (0.032, 0.022), (0.040, 0.028))
-"""Where its lip may pour: before the mouth and above it, the nearest first [m]."""
+SPOTS = np.stack(
+    np.meshgrid(np.arange(-0.03, 0.003, 0.004), [-0.02, -0.01, 0.0, 0.01, 0.02], np.arange(0.0, 0.031, 0.005), indexing="ij"), -1
+).reshape(-1, 3)  # fmt: skip
+"""Where its lip may pour, from the mouth: along the stream, across, up [m]."""
+STREAM = np.array([0.2, 0.35, 0.5])  # how fast water leaves the lip [m/s]
+WIDTH = np.array([-0.012, 0.0, 0.012])  # from where on it [m]
+SIP, DROP = 0.029, 0.005  # radius of the mouth and of a drop [m]
+PERIOD = 0.105  # of looks at the mouth [s]
+ELBOWS = (0.0, 0.01, 0.03)
+"""How strongly joints are drawn away from their limits, in what moves the hand nowhere."""
 FOOD_IN_SPOON = np.array([0.0, 0.0125, -0.004])  # middle of the pieces [m]
 RIM_HEIGHT, RIM_RADIUS, RIM_OUTSIDE = 0.125, 0.0412, 0.0472  # of the cup [m]
-CLEAR = 0.002  # of the rim from the head [m]
-FULL_TILT = 103.0  # at which a cup is empty [degrees]
+CLEAR = -0.003  # of the rim from the head: a cup may touch the lips [m]
+POURING = ((92.0, 0.4), (97.0, 0.4), (103.0, 0.2))
+"""Tilts [degrees], and the share of the water that leaves until then."""
 CAREFUL = 0.85  # of the joints' greatest speed
 PATIENCE = 1.0  # control steps that a joint may be behind
 SPARE = 8  # control steps of the episode to be left at the end
@@ -40,7 +49,7 @@ class Path(NamedTuple):
 
     pos: np.ndarray  # [m] (K, 3)
     rot: np.ndarray  # (K, 3, 3)
-    rank: int  # less is better
+    share: float = 1.0  # of the water that should arrive
 
 
 class Plan(NamedTuple):
@@ -49,7 +58,7 @@ class Plan(NamedTuple):
     angles: np.ndarray  # at every control step [rad] (T, 7)
     missed: float  # greatest distance from the path [m]
     turned: float  # greatest angle from the path [rad]
-    rank: int
+    share: float
 
 
 class Script:
@@ -67,23 +76,24 @@ class Script:
             paths = [spoonful(*self._tool(), mouth, yaw) for yaw in YAWS]
         else:
             head = _head(env, state)
+            spots = {
+                turn: spout(mouth, turn, head) for turn in {y + s for y in YAWS for s in SIDES}
+            }
             paths = [
-                sip(*self._tool(), mouth, yaw, side, rank)
-                for rank in range(len(SPOUTS)) for yaw in YAWS for side in SIDES
+                sip(*self._tool(), yaw, side, *spots[yaw + side])
+                for yaw in YAWS for side in SIDES
             ]  # fmt: skip
-            paths.sort(key=lambda p: -min(_gap(p, head), CLEAR))  # stays in order of rank otherwise
-            paths = paths[:96]
-            paths = [p for p in paths if _gap(p, head) >= CLEAR] or paths[:16]
         plans = [p for p in self._follow(paths) if p.missed < 0.002 and p.turned < 0.02]
         assert plans, f"no path to the mouth of {env.name}"
         soon = [p for p in plans if len(p.angles) < env.episode_length - SPARE]
-        self.plan = min(soon or plans, key=lambda p: (p.rank * bool(soon), len(p.angles)))
+        best = max(p.share for p in soon) - 0.01 if soon else 0.0
+        self.plan = min([p for p in soon if p.share >= best] or plans, key=lambda p: len(p.angles))
 
     def joints(self, state: Any) -> np.ndarray:
         """Angles of the arm now [rad] (7,)."""
         return np.asarray(state.data.qpos)[self.index.robot_qpos]
 
-    def actions(self, state: Any) -> Iterator[np.ndarray]:
+    def actions(self, state: Any) -> Generator[np.ndarray, Any, None]:
         """Send the states in, get an action for each. A slow arm is waited for."""
         step, angles = 0, self.plan.angles
         while True:
@@ -103,11 +113,11 @@ class Script:
         base, turn = self.base
         pos = np.array([(p.pos - base) @ turn for p in paths])
         rot = np.array([turn.T @ p.rot for p in paths])
-        arrays = (jnp.asarray(x, jnp.float32) for x in (self.start, pos, rot))
+        arrays = (jnp.asarray(x, jnp.float32) for x in (self.start, pos, rot, ELBOWS))
         q, missed, turned = (np.asarray(x) for x in _follower(self.env)(*arrays))
         return [
-            Plan(self._timed(np.vstack([self.start, q[i]])), missed[i].max(), turned[i].max(), p.rank)
-            for i, p in enumerate(paths)
+            Plan(self._timed(np.vstack([self.start, q[k, i]])), missed[k, i].max(), turned[k, i].max(), p.share)
+            for i, p in enumerate(paths) for k in range(len(ELBOWS))
         ]  # fmt: skip
 
     def _timed(self, q: np.ndarray) -> np.ndarray:
@@ -131,24 +141,75 @@ def spoonful(pos: np.ndarray, rot: np.ndarray, mouth: np.ndarray, yaw: float) ->
         (pos + rot @ FOOD_IN_SPOON, rot), (mouth + 0.07 * out, level),
         (mouth + 0.010 * out, level), (mouth + 0.008 * out, tipped),
     ]  # fmt: skip
-    return Path(*_through(keys, (40, 12, 12), FOOD_IN_SPOON), rank=0)
+    return Path(*_through(keys, (40, 12, 12), FOOD_IN_SPOON))
+
+
+def spout(
+    mouth: np.ndarray, turn: float, head: tuple[np.ndarray, np.ndarray, float]
+) -> tuple[np.ndarray, float]:
+    """Where a cup's lip best pours at each tilt [m] (T, 3), and the share that should arrive.
+
+    Args:
+        mouth: [m] (3,).
+        turn: of the stream about the vertical, from y.
+        head: its capsule.
+    """
+    towards = _turn(Z, turn) @ Y
+    lips = mouth + SPOTS @ np.stack([towards, np.cross(Z, towards), Z])
+    # the rim from its lip, upright; then turned about the lip
+    rim = _rim() @ _turn(X, np.pi / 2).T - RIM_RADIUS * towards
+    arriving, spots, total = _arriving(lips, towards, mouth, head), [], 0.0
+    for degrees, part in POURING:
+        tilt = _turn(np.cross(Z, towards), np.deg2rad(degrees))
+        share = arriving - _cost(_off(head, lips[:, None] + rim @ tilt.T).min(1))
+        spots.append(lips[np.argmax(share)])
+        total += part * share.max()
+    return np.array(spots), float(total)
+
+
+def _cost(gap: np.ndarray) -> np.ndarray:
+    """What a rim that is so far from the head [m] is worth less, in shares."""
+    return 20.0 * np.maximum(CLEAR - gap, 0.0)
+
+
+def _arriving(
+    lips: np.ndarray, towards: np.ndarray, mouth: np.ndarray, head: tuple[np.ndarray, np.ndarray, float]
+) -> np.ndarray:  # fmt: skip
+    """Share of drops from lips (L, 3) that are at the mouth when it is looked at, once a control step (L,).
+
+    They fall freely, and slide down the face.
+    """
+    dt, (a, b, radius) = 0.004, head
+    across = np.repeat(WIDTH[:, None] * np.cross(Z, towards), len(STREAM), axis=0)
+    pos = lips[:, None] + DROP * Z + across
+    vel = np.broadcast_to(np.tile(STREAM, len(WIDTH))[:, None] * towards, pos.shape)
+    time = np.zeros(pos.shape[:2])
+    for _ in range(40):
+        vel = vel - 9.81 * dt * Z
+        free = pos + dt * vel
+        share = np.clip((free - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)[..., None]
+        out = free - a - share * (b - a)
+        away = np.linalg.norm(out, axis=-1, keepdims=True)
+        new = free + out / away * np.maximum(radius + DROP - away, 0.0)
+        vel, pos = (new - pos) / dt, new
+        time += dt * (np.linalg.norm(pos - mouth, axis=-1) < SIP)
+    return np.minimum(time / PERIOD, 1.0).mean(1)
 
 
 def sip(
-    pos: np.ndarray, rot: np.ndarray, mouth: np.ndarray, yaw: float, side: float, rank: int
+    pos: np.ndarray, rot: np.ndarray, yaw: float, side: float, spots: np.ndarray, share: float
 ) -> Path:
     """The cup's rim goes before the lips, tilting, and then the cup turns over about its rim."""
-    out, up = SPOUTS[rank]
     upright, towards = _turn(Z, yaw) @ rot, _turn(Z, yaw + side) @ Y
     # the lip in the tool's frame: on the rim, on the person's side
     lip = RIM_HEIGHT * Y + RIM_RADIUS * (upright.T @ towards)
-    spout = mouth - out * towards + up * Z
     tilted = lambda tilt: _turn(np.cross(Z, towards), np.deg2rad(tilt)) @ upright  # noqa: E731
+    first = spots[0]
     keys = [
-        (pos + rot @ lip, rot), (spout - 0.06 * towards + 0.03 * Z, tilted(50.0)),
-        (spout, tilted(60.0)), (spout, tilted(FULL_TILT)),
+        (pos + rot @ lip, rot), (first - 0.06 * towards + 0.03 * Z, tilted(50.0)), (first, tilted(60.0)),
+        *((spot, tilted(degrees)) for spot, (degrees, _) in zip(spots, POURING, strict=True)),
     ]  # fmt: skip
-    return Path(*_through(keys, (40, 12, 30), lip), rank)
+    return Path(*_through(keys, (40, 12, 16, 8, 8), lip), share)
 
 
 def _through(keys: list, counts: tuple[int, ...], point: np.ndarray) -> tuple:
@@ -162,14 +223,17 @@ def _through(keys: list, counts: tuple[int, ...], point: np.ndarray) -> tuple:
     return np.concatenate(places), np.concatenate(turns)
 
 
-def _gap(path: Path, head: tuple[np.ndarray, np.ndarray, float]) -> float:
-    """Least distance of the cup's rim from the head, over a path [m]."""
-    a, b, radius = head
+def _rim() -> np.ndarray:
+    """Points around the cup's rim, from its middle, in the tool's axes [m] (24, 3)."""
     around = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    rim = np.stack([np.cos(around), np.zeros(24), np.sin(around)], -1) * RIM_OUTSIDE
-    points = path.pos[:, None] + (rim + RIM_HEIGHT * Y) @ np.swapaxes(path.rot, 1, 2)
+    return np.stack([np.cos(around), np.zeros(24), np.sin(around)], -1) * RIM_OUTSIDE
+
+
+def _off(capsule: tuple[np.ndarray, np.ndarray, float], points: np.ndarray) -> np.ndarray:
+    """Distances of points (..., 3) from a capsule [m] (...)."""
+    a, b, radius = capsule
     share = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)[..., None]
-    return float(np.linalg.norm(points - a - share * (b - a), axis=-1).min() - radius)
+    return np.linalg.norm(points - a - share * (b - a), axis=-1) - radius
 
 
 def _head(env: Any, state: Any) -> tuple[np.ndarray, np.ndarray, float]:
@@ -204,25 +268,28 @@ def _follower(env: Any) -> Any:
     low, high = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
     free = chain.upper - chain.lower > 2 * np.pi - 0.2
 
-    def nearer(q: jax.Array, pos: jax.Array, rot: jax.Array) -> jax.Array:
+    def nearer(q: jax.Array, pos: jax.Array, rot: jax.Array, pull: jax.Array) -> jax.Array:
         tip, tip_rot, j = kinematics.forward(chain, q)
         e = jnp.concatenate([pos - tip, 0.3 * kinematics.rotation_error(tip_rot, rot)])
         j = j.at[3:].multiply(0.3)
         inverse = j.T @ jnp.linalg.inv(j @ j.T + 1e-4 * jnp.eye(6))
         # what moves the hand nowhere takes joints away from their limits
-        middle = jnp.where(free, 0.0, 0.03 * ((low + high) / 2 - q))
+        middle = jnp.where(free, 0.0, pull * ((low + high) / 2 - q))
         delta = inverse @ e + middle - inverse @ (j @ middle)
         delta = delta * jnp.minimum(1.0, 0.3 / (jnp.max(jnp.abs(delta)) + 1e-9))
         return jnp.clip(q + delta, chain.lower, chain.upper)
 
-    def one(q: jax.Array, pose: tuple) -> tuple:
-        q, _ = jax.lax.scan(lambda q, _: (nearer(q, *pose), None), q, length=10)
+    def one(q: jax.Array, pose: tuple, pull: jax.Array) -> tuple:
+        q, _ = jax.lax.scan(lambda q, _: (nearer(q, *pose, pull), None), q, length=10)
         tip, tip_rot, _ = kinematics.forward(chain, q)
         turned = jnp.linalg.norm(kinematics.rotation_error(tip_rot, pose[1]))
         return q, (q, jnp.linalg.norm(tip - pose[0]), turned)
 
-    follow = lambda start, pos, rot: jax.lax.scan(one, start, (pos, rot))[1]  # noqa: E731
-    return jax.jit(jax.vmap(follow, (None, 0, 0)))
+    def follow(q: jax.Array, pos: jax.Array, rot: jax.Array, pull: jax.Array) -> tuple:
+        return jax.lax.scan(lambda q, pose: one(q, pose, pull), q, (pos, rot))[1]
+
+    each_path = jax.vmap(follow, (None, 0, 0, None))
+    return jax.jit(jax.vmap(each_path, (None, None, None, 0)))
 
 
 def play(env: Any, key: jax.Array) -> tuple[Any, Plan, dict[str, float]]:

@@ -56,8 +56,17 @@ def commands(text: str) -> list[str]:
     return [line for block in blocks for line in block.splitlines() if line.strip()]
 
 
-def test_readme_tables_are_up_to_date():
-    assert tables.fill(README) == README, "run: python -m benchmarks.tables"
+@pytest.mark.parametrize("page", tables.PAGES, ids=lambda page: page.name)
+def test_tables_are_up_to_date(page):
+    assert tables.fill(page.read_text()) == page.read_text(), "run: python -m benchmarks.tables"
+
+
+def test_a_matrix_has_tasks_as_rows_and_robots_as_columns(tmp_path):
+    (tmp_path / "throughput.jsonl").write_text(json.dumps(RESULT))
+    shown = tables.fill("<!-- table:speed -->\n<!-- /table:speed -->", tmp_path)
+    head, _, row, *_ = shown.splitlines()[1:]
+    column = head.split("|").index(" Jaco ")
+    assert row.split("|")[1] == " ScratchItch " and row.split("|")[column] == " 1,235 k "
 
 
 def test_list_of_deviations_is_up_to_date():
@@ -179,6 +188,6 @@ def test_a_table_shows_the_newest_result_and_leaves_out_lost_contacts(tmp_path):
     assert "old" not in filled and "| 8 |" not in filled and "01234567." in filled
     assert tables.fill(filled, tmp_path) == filled
     with pytest.raises(tables.TableError, match="Unknown table"):
-        tables.fill("<!-- table:speed -->", tmp_path)
+        tables.fill("<!-- table:haste -->", tmp_path)
     with pytest.raises(tables.TableError, match="not followed"):
         tables.fill("<!-- table:nan -->", tmp_path)

@@ -25,7 +25,7 @@ from agym_jax.physics import choose_impl
 from agym_jax.sense import add_touch, no_touch, read_touch
 from agym_jax.wrappers import vectorize
 from train import enjoy
-from train.evaluate import baseline_policy
+from train.acting import baseline_policy
 
 # One control step from the same state, float64 against MJX's float32, in contact (see test_parity).
 QPOS, OBS, REWARD, FORCE = 1e-5, 2e-4, 2e-3, 5e-4  # [rad], mixed, -, [N] or share of the force

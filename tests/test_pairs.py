@@ -23,14 +23,19 @@ from agym_jax.tasks import TASKS
 # tasks.md section 1.2: action of robot and person, observation of robot and person
 SIZES = {
     "ScratchItch": (7, 10, 30, 34), "BedBathing": (7, 10, 24, 28),
+    "Feeding": (7, 4, 25, 23), "Drinking": (7, 4, 25, 23), "Dressing": (7, 10, 24, 28),
     "ArmManipulation": (14, 10, 45, 42), "Reaching": (7, 4, 21, 19),
 }  # fmt: skip
 ONE_ARMED = ("Jaco", "Sawyer")
 DEEPEST = 0.002  # [m]
 
 
-def test_the_product_has_32_ids():
-    assert len(agym_jax.list_envs()) == len(set(agym_jax.list_envs())) == 32
+def test_ids_are_the_product_of_tasks_robots_and_people():
+    ids = {
+        f"{task}{robot}{human}-v0" for task in TASKS for robot in ROBOTS for human in ("", "Human")
+    }
+    assert set(agym_jax.list_envs()) == ids and len(agym_jax.list_envs()) == len(ids)
+    assert set(TASKS) <= set(SIZES)
 
 
 @pytest.mark.parametrize("name", agym_jax.list_envs())

@@ -21,7 +21,7 @@ from agym_jax.matter.settle import MissingSettledError, fill, load_settled
 from agym_jax.matter.shapes import columns, no_boxes, no_capsules, rotation
 
 WORLDS, PERIOD = 4, 0.1
-PARTS = {"spoon": (FOOD, 0.01), "cup": (WATER, 0.004)}
+PARTS = {"spoon": (FOOD, 0.01), "cup": (WATER, 0.01)}
 UPRIGHT = np.array([1.0, 0, 0, 0])
 Pose = tuple[np.ndarray, np.ndarray]
 Path_of = Callable[[np.ndarray], Pose]

@@ -56,6 +56,12 @@ SCOOPER = {  # joint origin and its rpy
     "Sawyer": ((-0.075, 0, 0.235), (-np.pi / 2, -np.pi / 2, 0)),
     "Jaco": ((0.075, 0, 0.14), (np.pi / 2, -np.pi / 2, 0)),
 }
+
+
+def _turn(axis: np.ndarray, towards: np.ndarray, angle: float) -> np.ndarray:
+    return np.cos(angle) * axis + np.sin(angle) * towards
+
+
 HELD = {
     "ScratchItch": {
         "PR2": ((0, 0, 0), (X, Y, Z)), "Jaco": ((0, 0, 0.02), (Z, Y, -X)),
@@ -64,6 +70,18 @@ HELD = {
     "BedBathing": {
         "PR2": ((0, 0, 0), (X, Y, Z)), "Jaco": ((-0.01, 0, 0.03), (Z, Y, -X)),
         "Baxter": ((0, 0, 0.1175), (Z, Y, -X)), "Sawyer": ((0, 0, 0.1175), (Z, Y, -X)),
+    },
+    "Feeding": {
+        "PR2": ((0, -0.03, -0.11), (X, _turn(Y, -Z, 0.2), _turn(Z, Y, 0.2))),
+        "Jaco": ((0.1, -0.0225, 0.03), (Z, _turn(Y, X, 0.1), _turn(-X, Y, 0.1))),
+        **dict.fromkeys(
+            ("Baxter", "Sawyer"),
+            ((0.1, -0.02, 0.12), (Z, _turn(Y, X, 0.1), _turn(-X, Y, 0.1))),
+        ),
+    },
+    "Drinking": {
+        "PR2": ((-0.01, 0, -0.05), (X, Z, -Y)), "Jaco": ((0.05, -0.005, 0), (Y, -X, Z)),
+        "Baxter": ((-0.05, 0, 0.125), (Z, X, Y)), "Sawyer": ((-0.05, 0, 0.125), (Z, X, Y)),
     },
     "ArmManipulation": {
         name: (xyz, Rotation.from_euler("xyz", rpy).as_matrix().T)
@@ -74,6 +92,9 @@ HELD = {
 OPENING = {
     "ScratchItch": {"PR2": 0.25, "Jaco": 1.0, "Baxter": 0.015, "Sawyer": 0.015},
     "BedBathing": {"PR2": 0.2, "Jaco": 1.1, "Baxter": 0.0125, "Sawyer": 0.0125},
+    "Feeding": {"PR2": 0.03, "Jaco": 1.33, "Baxter": 0.0, "Sawyer": 0.0},
+    # 0.025 asked of Baxter and Sawyer, beyond their limit
+    "Drinking": {"PR2": 0.45, "Jaco": 0.63, "Baxter": 0.0208, "Sawyer": 0.0208},
     "ArmManipulation": {"PR2": 0.15, "Jaco": 1.05, "Baxter": 0.01, "Sawyer": 0.01},
     "Reaching": {"PR2": 0.03, "Jaco": 1.33, "Baxter": 0.0, "Sawyer": 0.0},
 }

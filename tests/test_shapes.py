@@ -251,8 +251,8 @@ def test_what_cannot_work_is_refused_with_the_limit(changes: dict, dt: float, wo
 
 def test_food_and_water_are_accepted() -> None:
     check(FOOD, 0.01, thinnest=0.02)
-    check(WATER, 0.004, thinnest=0.02)
-    assert speed_limit(WATER, 0.004, 0.02) == pytest.approx(0.025 / 0.002)
+    check(WATER, 0.01, thinnest=0.02)
+    assert speed_limit(WATER, 0.01, 0.02) == pytest.approx(0.025 / 0.0025)
 
 
 def test_a_bowl_without_a_trough_is_round() -> None:

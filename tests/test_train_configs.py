@@ -9,6 +9,7 @@ import pytest
 
 from train.configs import (
     TASK_CHANGES,
+    CoopConfig,
     PPOConfig,
     config_for,
     env_name_in,
@@ -78,7 +79,7 @@ def test_the_environment_on_the_command_line_decides_the_defaults(monkeypatch):
     monkeypatch.setitem(TASK_CHANGES, "Feeding", {"lr": 0.5})
     assert parse_arguments(["--env-name", "FeedingPR2-v0"]).lr == 0.5
     assert parse_arguments(["--env-name=FeedingPR2-v0", "--lr", "0.25"]).lr == 0.25
-    assert parse_arguments(["--env-name", "DrinkingPR2-v0"]).lr == PPOConfig.lr
+    assert parse_arguments(["--env-name", "DressingPR2-v0"]).lr == PPOConfig.lr
     assert env_name_in(["--seed", "1"]) == PPOConfig.env_name
     assert env_name_in(["--env_name", "X"]) == "X"
 
@@ -88,6 +89,38 @@ def test_every_task_of_the_table_has_settings_that_work():
         config = config_for(f"{task}Jaco-v0")
         for platform in ("cpu", "gpu"):
             assert resolve(config, platform).num_processes > 0
+
+
+@pytest.mark.parametrize("task", TASK_CHANGES)
+def test_two_learners_have_the_settings_of_one_in_the_same_task(task):
+    one = config_for(f"{task}Jaco-v0")
+    two = config_for(f"{task}JacoHuman-v0", CoopConfig)
+    for platform in ("cpu", "gpu"):
+        resolved = [dataclasses.asdict(resolve(config, platform)) for config in (one, two)]
+        common = resolved[0].keys() & resolved[1].keys() - {"env_name"}
+        assert len(common) > 25
+        assert {n: resolved[0][n] for n in common} == {n: resolved[1][n] for n in common}
+
+
+def test_the_command_line_of_two_learners_knows_its_own_flags():
+    words = "--env-name FeedingPR2Human-v0 --central-critic --person-policy p.npz --freeze-person"
+    config = parse_arguments(words.split(), CoopConfig)
+    assert config == dataclasses.replace(
+        config_for("FeedingPR2Human-v0", CoopConfig),
+        central_critic=True,
+        person_policy="p.npz",
+        freeze_person=True,
+    )
+    assert parse_arguments([], CoopConfig).env_name == "ScratchItchJacoHuman-v0"
+
+
+def test_worlds_that_devices_cannot_share_get_a_suggestion():
+    assert resolve(PPOConfig(num_processes=64), "gpu", devices=4).devices == 4
+    with pytest.raises(ConfigError, match=r"30 worlds .* 4 devices.*--num-processes 32"):
+        resolve(PPOConfig(num_processes=30), "gpu", devices=4)
+    text = r"17 worlds x 20 steps = 340 samples on each of 2 devices.* 7 mini-.*--num-mini-batch 5"
+    with pytest.raises(ConfigError, match=text):
+        resolve(PPOConfig(num_processes=34, num_steps=20, num_mini_batch=7), "gpu", devices=2)
 
 
 def test_automatic_settings_depend_on_the_machine():

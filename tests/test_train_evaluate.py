@@ -12,7 +12,12 @@ import numpy as np
 import pytest
 from fake_env import FakeEnv
 
+from agym_jax.assets import asset_root
+from agym_jax.observe import layout_version
+from agym_jax.registry import parse
 from train import enjoy, evaluate
+from train.acting import BASELINES, PolicyFiles, baseline_policy, load_policies
+from train.algorithm import policy_of
 from train.configs import PPOConfig
 from train.errors import (
     PolicyDamagedError,
@@ -20,10 +25,9 @@ from train.errors import (
     PolicyLayoutError,
     PolicyNotFoundError,
 )
-from train.evaluate import BASELINES, Evaluator, baseline_policy, wilson_interval
+from train.evaluate import Evaluator, wilson_interval
 from train.learner import architecture, init_learner
 from train.policy import Policy, find_policy, load_policy, save_policy
-from train.ppo import policy_of
 
 INFO = {"env": "FakeReach-v0", "layout": "fake-1", "commit": None, "versions": {}}
 
@@ -78,6 +82,26 @@ def test_a_missing_policy_lists_what_is_there(tmp_path, policy):
         find_policy("FakeReech-v0", tmp_path)
     with pytest.raises(PolicyNotFoundError, match=r"ships no policy for 'FakeReach-v0'.*train.ppo"):
         find_policy("FakeReach-v0")
+
+
+def test_every_shipped_policy_loads_for_its_robot_of_today():
+    files = sorted((asset_root() / "policies").glob("*.npz"))
+    assert len(files) >= 16
+    for file in files:
+        recipe = parse(file.stem)
+        policy = load_policy(file)
+        assert policy.info.get("agent", "robot") == "robot" and policy.info["env"] == file.stem
+        assert policy.info["layout"] == layout_version(recipe.task.robot_obs)
+        action = policy(jnp.zeros(policy.arch.observation_size))
+        assert action.shape == (policy.arch.action_size,) and np.isfinite(action).all()
+
+
+def test_a_shipped_robot_goes_with_the_person_who_acts_too(static_env, active_env):
+    shipped = find_policy(static_env.name)
+    robot = load_policy(shipped, static_env)
+    pair = load_policies(PolicyFiles(str(shipped), "zero"), active_env)
+    obs = jnp.linspace(-1, 1, active_env.observation_size)
+    assert np.array_equal(pair(obs)[:7], robot(obs[:30])) and not pair(obs)[7:].any()
 
 
 def test_a_damaged_policy_is_refused(tmp_path, policy):

@@ -5,32 +5,24 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from fake_env import FakeEnv
+from train_runs import check_continued, check_restored, kill_in_training, listening
 
 from agym_jax.errors import BufferOverflowError
+from train.algorithm import OneLearner
 from train.checkpoint import checkpoint_files, load_newest
 from train.configs import PPOConfig
 from train.curve import check_row, make_row
 from train.errors import ActiveHumanError, CheckpointMismatchError, DivergedError, SaveFolderError
 from train.evaluate import Evaluator
-from train.learner import architecture, init_learner, make_updates
 from train.policy import load_policy
-from train.ppo import main, summary, train
-from train.progress import Lines
-from train.rollout import first_worlds
+from train.ppo import main, train
+from train.result import summary
 
-ROOT = Path(__file__).resolve().parent.parent
 CONFIG = PPOConfig(
     env_name="FakeReach-v0",
     num_env_steps=45_000,
@@ -48,9 +40,7 @@ SMALL = dataclasses.replace(CONFIG, num_processes=4, num_env_steps=80, save_dir=
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """A finished run: environment, result, folder and what was said."""
-    env, said = FakeEnv(), []
-    progress = Lines(period=0.0)
-    progress.say = said.append
+    env, (progress, said) = FakeEnv(), listening()
     folder = tmp_path_factory.mktemp("trained")
     result = train(env, dataclasses.replace(CONFIG, save_dir=str(folder)), progress)
     return env, result, folder / env.name, said
@@ -108,9 +98,7 @@ def test_the_saved_policy_acts_as_the_learner_does(trained):
 
 def test_a_finished_run_is_not_run_again(trained):
     _, result, folder, _ = trained
-    env, said = FakeEnv(), []
-    progress = Lines()
-    progress.say = said.append
+    env, (progress, said) = FakeEnv(), listening()
     again = train(env, dataclasses.replace(CONFIG, save_dir=str(folder.parent)), progress)
     assert env.traces == {"reset": 0, "step": 0}
     assert again.session_steps == 0 and again.curve == result.curve
@@ -138,66 +126,19 @@ def test_fresh_moves_the_old_run_aside(tmp_path):
 
 
 def test_a_restored_learner_learns_on_exactly_as_one_that_was_never_saved(tmp_path):
-    env, config = FakeEnv(), SMALL
-    venv, arch = env.vectorize(4), architecture(config, 4, 2)
-    learner = jax.jit(lambda key: init_learner(config, arch, key))(jax.random.PRNGKey(0))
-    worlds = jax.jit(lambda key: first_worlds(venv, key, True))(jax.random.PRNGKey(1))
-    run = jax.jit(make_updates(venv, config, arch))
-    middle, worlds, _ = run(learner, worlds, jnp.int32(3), jnp.float32(800))
-    unbroken, _, _ = run(middle, worlds, jnp.int32(2), jnp.float32(800))
-
-    from train.checkpoint import save_checkpoint
-
-    save_checkpoint(tmp_path, middle, {"belongs": {}})
-    restored = load_newest(tmp_path, learner, {}).learner
-    resumed, _, _ = run(restored, worlds, jnp.int32(2), jnp.float32(800))
-    assert env.traces["step"] == 1
-    for a, b in zip(jax.tree.leaves(unbroken), jax.tree.leaves(resumed), strict=True):
-        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+    env = FakeEnv()
+    restored = check_restored(env, SMALL, OneLearner(SMALL, env), tmp_path)
     moments = jax.tree.leaves(restored.optimizer)
     assert len(moments) > 8 and any(np.abs(np.asarray(m)).max() > 0 for m in moments)
-
-
-KILLED = """
-import sys, time
-sys.path[:0] = {paths!r}
-from fake_env import FakeEnv
-from train.configs import PPOConfig
-from train.ppo import train
-config = PPOConfig(**{fields!r})
-train(FakeEnv(), config, on_log=lambda row, policy: time.sleep(0.05))
-"""
 
 
 def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
     config = dataclasses.replace(
         CONFIG, save_dir=str(tmp_path), log_interval=1, save_interval=2, num_env_steps=50_000
     )
-    fields = dataclasses.asdict(config)
-    code = KILLED.format(paths=[str(ROOT), str(ROOT / "tests")], fields=fields)
-    environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
-    with subprocess.Popen(
-        [sys.executable, "-c", code], env=environment, stderr=subprocess.DEVNULL
-    ) as process:
-        folder = tmp_path / "FakeReach-v0" / "checkpoints"
-        deadline = time.monotonic() + 120
-        while len(checkpoint_files(folder)) < 2 and process.poll() is None:
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        assert process.poll() is None, "the run ended before it could be killed"
-        process.send_signal(signal.SIGKILL)
-    said = []
-    progress = Lines()
-    progress.say = said.append
-    result = train(FakeEnv(), config, progress)
-    steps = [row["env_steps"] for row in result.curve]
-    assert 0 < result.session_steps < result.env_steps == 79 * 640
-    assert steps == [640 * i for i in range(1, 80)]  # nothing twice, nothing missing
-    seconds = [row["seconds"] for row in result.curve]
-    assert seconds == sorted(seconds)
-    assert said[0].startswith("Continuing from step") and "fresh episodes" in said[0]
-    on_disk = (tmp_path / "FakeReach-v0" / "curve.jsonl").read_text().splitlines()
-    assert len(on_disk) == 79
+    kill_in_training(FakeEnv(), "ppo", config)
+    progress, said = listening()
+    check_continued(train(FakeEnv(), config, progress), said, config, updates=79)
 
 
 def test_on_log_can_stop_a_run_which_then_goes_on(tmp_path):
@@ -279,15 +220,9 @@ def test_an_unwritable_folder_is_refused_before_anything_compiles(tmp_path, caps
     assert "SaveFolderError: Cannot write to the folder" in capsys.readouterr().err
 
 
-def test_the_command_line_trains(tmp_path, capsys):
+def test_the_command_line_trains(tmp_path, capsys, restored_settings):
     words = f"--env-name FakeReach-v0 --num-env-steps 6.4e2 --num-processes 4 --save-dir {tmp_path}"
     words += " --num-mini-batch 4 --policy-hidden 32 --value-hidden 32 --lr 1e-3"
-    before = signal.getsignal(signal.SIGTERM)
-    precision = jax.config.jax_default_matmul_precision
-    try:
-        assert main(words.split(), lambda name, impl: FakeEnv(name=name)) == 0
-    finally:
-        signal.signal(signal.SIGTERM, before)
-        jax.config.update("jax_default_matmul_precision", precision)
+    assert main(words.split(), lambda name, impl: FakeEnv(name=name)) == 0
     out = capsys.readouterr().out
     assert "FakeReach-v0: trained 640 steps" in out and str(tmp_path) in out

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from fake_env import FakeEnv
 
+from train.acting import baseline_policy
 from train.configs import PPOConfig
 from train.demo import main as demo
 from train.errors import ConfigError
-from train.evaluate import Evaluator, baseline_policy
+from train.evaluate import Evaluator
 from train.ppo import train
 from train.stepwise import StepwiseEnv, evaluate_stepwise
 

@@ -118,7 +118,14 @@ def load_checkpoint(path: Path, template: Any, belongs: Mapping[str, Any]) -> Ch
         raise CheckpointMismatchError(
             f"{path} has checkpoint format {meta.get('format')}, this version reads {FORMAT}. {advice}"
         )
-    theirs = meta["belongs"]
+    theirs = {"trainer": "ppo", **meta["belongs"]}
+    trainer = belongs.get("trainer", theirs["trainer"])
+    if theirs["trainer"] != trainer:
+        raise CheckpointMismatchError(
+            f"{path} is of a run of train.{theirs['trainer']}, this is train.{trainer}. Continue it "
+            f"with python -m train.{theirs['trainer']}, choose another --save-dir, or start over "
+            f"with --fresh (which moves the old run aside)."
+        )
     differ = [
         f"{name} is {theirs.get(name)!r}, this run has {value!r}"
         for name, value in belongs.items()

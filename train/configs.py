@@ -11,7 +11,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import tyro
 
@@ -46,8 +46,8 @@ Count = Annotated[int, _COUNT]
 
 
 @dataclass(frozen=True)
-class PPOConfig:
-    """Every setting of a PPO run."""
+class LearnConfig:
+    """What every trainer can be told; see ``PPOConfig`` and ``CoopConfig``."""
 
     env_name: str = "ScratchItchJaco-v0"
     """Environment id."""
@@ -59,6 +59,12 @@ class PPOConfig:
     """Seed of the networks, the worlds and the exploration."""
     impl: str = "auto"
     """Physics: "jax", "warp", or "auto" (Warp on an NVIDIA GPU where it is installed)."""
+    devices: Count = 0
+    """Accelerators that share the worlds; 0 = all there are."""
+    hosts: str | None = None
+    """Train on several machines, each started with this command: "auto" where JAX finds them itself
+    (SLURM, Open MPI, Cloud TPU), or ADDRESS:PORT,COUNT,INDEX with the address of machine 0, how many
+    they are, and which one this is. They need a common --save-dir."""
 
     num_processes: Annotated[Count, tyro.conf.arg(aliases=["--num-envs"])] = 0
     """Worlds simulated side by side; 0 = 64 on a CPU, and on an accelerator 4096, or what suits
@@ -121,9 +127,6 @@ class PPOConfig:
     least one a minute. A killed run loses at most what follows its last checkpoint."""
     fresh: bool = False
     """Start over: the results of an earlier run are moved aside instead of being continued."""
-    allow_joint_observation: bool = False
-    """Train one policy for robot and person together, which lets the robot read the person's
-    observation."""
 
     def __post_init__(self) -> None:
         """Reject values that can never work.
@@ -145,6 +148,53 @@ class PPOConfig:
                 f"num_env_steps must be at most {MAX_ENV_STEPS}, got {self.num_env_steps}."
             )
 
+
+@dataclass(frozen=True)
+class PPOConfig(LearnConfig):
+    """Every setting of ``train.ppo``."""
+
+    allow_joint_observation: bool = False
+    """Train one policy for robot and person together, which lets the robot read the person's
+    observation."""
+
+
+@dataclass(frozen=True)
+class CoopConfig(LearnConfig):
+    """Every setting of ``train.coop``."""
+
+    env_name: str = "ScratchItchJacoHuman-v0"
+    """Environment id, one whose person acts too."""
+    central_critic: bool = False
+    """Let the value functions see both observations (the policies never do)."""
+    robot_policy: str | None = None
+    """A policy file that the robot starts from."""
+    freeze_robot: bool = False
+    """Leave --robot-policy as it is, and let it act by the mode of its distribution."""
+    person_policy: str | None = None
+    """A policy file that the person starts from."""
+    freeze_person: bool = False
+    """Leave --person-policy as it is, and let it act by the mode of its distribution."""
+
+    def __post_init__(self) -> None:
+        """Reject values that can never work.
+
+        Raises:
+            ConfigError: as ``LearnConfig``; or there is nothing to freeze, or nothing to learn.
+        """
+        super().__post_init__()
+        for agent in ("robot", "person"):
+            if getattr(self, f"freeze_{agent}") and getattr(self, f"{agent}_policy") is None:
+                raise ConfigError(
+                    f"--freeze-{agent} keeps a policy as it is, so it needs --{agent}-policy FILE."
+                )
+        if self.freeze_robot and self.freeze_person:
+            raise ConfigError(
+                "--freeze-robot with --freeze-person leaves nobody to learn. Use one of them, or "
+                "python -m train.evaluate to measure the two policies."
+            )
+
+
+Config = TypeVar("Config", PPOConfig, CoopConfig)
 
 # Short strokes want a short horizon; wide exploration finds them; a sampled action keeps moving.
 _TOUCH: dict[str, Any] = {
@@ -179,22 +229,23 @@ LEAST_SAMPLES = 80
 """Of a mini-batch, when ``num_mini_batch`` would make smaller ones of a small batch."""
 
 
-def config_for(env_name: str) -> PPOConfig:
+def config_for(env_name: str, kind: type[Config] = PPOConfig) -> Config:
     """The settings of an environment: the base with its task's changes.
 
     Args:
         env_name: environment id, such as ``"ScratchItchJaco-v0"``; an id of no known task gets
             the base.
+        kind: whose settings.
     """
     plain = env_name.rpartition(":")[2]  # without the module of a plug-in
     tasks = [task for task in TASK_CHANGES if plain.startswith(task)]
     changes = TASK_CHANGES[max(tasks, key=len)] if tasks else {}
-    return dataclasses.replace(PPOConfig(), env_name=env_name, **changes)
+    return dataclasses.replace(kind(), env_name=env_name, **changes)
 
 
-def env_name_in(arguments: Sequence[str]) -> str:
+def env_name_in(arguments: Sequence[str], default: str = PPOConfig.env_name) -> str:
     """The value of ``--env-name`` among command-line words, or the default environment."""
-    name = PPOConfig.env_name
+    name = default
     for i, word in enumerate(arguments):
         flag, equals, value = word.partition("=")
         if flag.replace("_", "-") == "--env-name":
@@ -202,51 +253,71 @@ def env_name_in(arguments: Sequence[str]) -> str:
     return name
 
 
-def parse_arguments(arguments: Sequence[str]) -> PPOConfig:
+def parse_arguments(arguments: Sequence[str], kind: type[Config] = PPOConfig) -> Config:
     """Settings from command-line words, with the defaults of the environment they name."""
+    prog, does = {
+        PPOConfig: ("train.ppo", "Train a robot's policy with PPO."),
+        CoopConfig: (
+            "train.coop",
+            "Train robot and person side by side: two policies, one reward.",
+        ),
+    }[kind]
     return tyro.cli(
-        PPOConfig,
-        prog="python -m train.ppo",
-        description="Train a robot's policy with PPO. Rerunning the same command continues it.",
+        kind,
+        prog=f"python -m {prog}",
+        description=f"{does} Rerunning the same command continues it.",
         args=list(arguments),
-        default=config_for(env_name_in(arguments)),
+        default=config_for(env_name_in(arguments, kind.env_name), kind),
     )
 
 
-def resolve(config: PPOConfig, platform: str) -> PPOConfig:
+def resolve(config: Config, platform: str, devices: int = 1) -> Config:
     """Fill in what depends on the machine.
 
     Args:
         config: settings, with 0 meaning automatic.
         platform: JAX's name of the device kind: "cpu", "gpu", "tpu".
+        devices: how many share the worlds.
 
     Returns:
-        Settings without a 0 in ``num_processes`` and ``log_interval``; ``save_interval`` is a
-        whole number of log intervals.
+        Settings without a 0 in ``devices``, ``num_processes`` and ``log_interval``;
+        ``save_interval`` is a whole number of log intervals.
 
     Raises:
-        ConfigError: the data of an update do not divide into mini-batches.
+        ConfigError: the worlds do not divide among the devices, or the data of an update not into
+            mini-batches.
     """
     plain = config.env_name.rpartition(":")[2]
     worlds = next((n for task, n in WORLDS.items() if plain.startswith(task)), 4096)
     num_envs = config.num_processes or (64 if platform == "cpu" else worlds)
+    if num_envs % devices:
+        raise ConfigError(
+            f"{num_envs} worlds cannot be shared by {devices} devices. Nearest that can: "
+            f"--num-processes {devices * max(1, round(num_envs / devices))}; or use fewer: --devices 1."
+        )
     batch = num_envs * config.num_steps
     if batch // config.num_mini_batch < LEAST_SAMPLES and batch % LEAST_SAMPLES == 0:
         config = dataclasses.replace(config, num_mini_batch=batch // LEAST_SAMPLES)
-    if batch % config.num_mini_batch:
-        divisors = [n for n in range(1, min(batch, 256) + 1) if batch % n == 0]
+    here = batch // devices
+    if here % config.num_mini_batch:
+        divisors = [n for n in range(1, min(here, 256) + 1) if here % n == 0]
         near = min(divisors, key=lambda n: abs(n - config.num_mini_batch))
+        each = f" on each of {devices} devices" if devices > 1 else ""
         raise ConfigError(
-            f"An update has {num_envs} worlds x {config.num_steps} steps = {batch} samples, which "
-            f"do not divide into {config.num_mini_batch} mini-batches. Nearest that does: "
-            f"--num-mini-batch {near}."
+            f"An update has {num_envs // devices} worlds x {config.num_steps} steps = {here} "
+            f"samples{each}, which do not divide into {config.num_mini_batch} mini-batches. Nearest "
+            f"that does: --num-mini-batch {near}."
         )
     total = updates_in(config.num_env_steps, batch)
     log_interval = config.log_interval or max(1, round(total / 80))
     save_interval = config.save_interval or max(1, math.ceil(total / 10))
     save_interval = log_interval * math.ceil(save_interval / log_interval)
     return dataclasses.replace(
-        config, num_processes=num_envs, log_interval=log_interval, save_interval=save_interval
+        config,
+        devices=devices,
+        num_processes=num_envs,
+        log_interval=log_interval,
+        save_interval=save_interval,
     )
 
 

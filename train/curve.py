@@ -16,7 +16,7 @@ def make_row(totals: Mapping[str, Any], updates: int, samples: int, episode_leng
     """Means from the totals of some updates.
 
     Args:
-        totals: sums from ``train.learner.make_updates``.
+        totals: sums from ``train.updates.make_updates``.
         updates: updates they were summed over.
         samples: environment steps they were summed over.
         episode_length: steps of a full episode.

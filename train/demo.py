@@ -23,10 +23,11 @@ import numpy as np
 import tyro
 
 from agym_jax.errors import AgymError
+from train.acting import baseline_policy
 from train.configs import Count, config_for
 from train.enjoy import Frame, caption, markers
 from train.envs import make_env, vectorize
-from train.evaluate import EvaluationResult, baseline_policy
+from train.evaluate import EvaluationResult
 from train.npz import check_writable
 from train.policy import find_policy, load_policy
 from train.ppo import OnLog, train

@@ -19,12 +19,12 @@ import jax
 import tyro
 
 from agym_jax.errors import AgymError
+from agym_jax.meshes import check_looks
+from train.acting import AnyPolicy, find_policies, load_policies
 from train.configs import Count
 from train.envs import make_env, programs
 from train.errors import ConfigError
-from train.evaluate import BASELINES, AnyPolicy, baseline_policy
 from train.npz import check_writable
-from train.policy import find_policy, load_policy
 from train.rollout import FORCE_KEY
 
 SHEET_PICTURES = 20
@@ -39,7 +39,9 @@ class EnjoyConfig:
     load_dir: str | None = None
     """--save-dir of a training run; without it and --policy, the policy shipped with agym_jax."""
     policy: str | None = None
-    """A policy file, or "zero" or "random"."""
+    """A policy file, or "zero" or "random"; the robot's, where there is one for each agent."""
+    person_policy: str | None = None
+    """The same for a person who acts; without it, the one that lies beside the robot's."""
     episodes: Count = 1
     """How many episodes, one after the other."""
     seed: int = 1001
@@ -64,6 +66,8 @@ class EnjoyConfig:
     """Height of a picture in pixels."""
     backend: str = "auto"
     """How pictures are drawn: "gl", "raycast" or "auto"."""
+    looks: str = "primitives"
+    """What the robot looks like: "primitives", or "meshes" of other packages (agym_jax[meshes])."""
 
 
 @dataclass(frozen=True)
@@ -126,22 +130,20 @@ def markers(env: Any, state: Any) -> list[Any]:
     return [m if isinstance(m, Marker) else Marker(*m) for m in env.markers(state)]
 
 
-def film(
-    env: Any, frames: Sequence[Frame], width: int, height: int, camera: str, backend: str
-) -> list[Any]:
+def film(env: Any, frames: Sequence[Frame], config: EnjoyConfig) -> list[Any]:
     """Pictures of the frames of one episode, uint8 (height, width, 3) each."""
     from agym_jax.render import Renderer
 
-    model, data = env.to_mujoco(frames[0].state)
-    pictures = []
-    with Renderer(model, width, height, camera, backend) as renderer:
+    model, data = env.to_mujoco(frames[0].state, config.looks)
+    pictures, size = [], (config.width, config.height)
+    with Renderer(model, *size, config.camera, config.backend) as renderer:
         for frame in frames:
             env.write_mujoco(frame.state, data, model)
             pictures.append(renderer.render(data, markers(env, frame.state)))
     return pictures
 
 
-def watch(env: Any, frames: Iterator[Frame]) -> list[Frame]:
+def watch(env: Any, frames: Iterator[Frame], looks: str) -> list[Frame]:
     """Show an episode in MuJoCo's viewer at the speed of life; returns its frames.
 
     Raises:
@@ -151,7 +153,7 @@ def watch(env: Any, frames: Iterator[Frame]) -> list[Frame]:
         import mujoco.viewer
 
         first = next(frames)
-        model, data = env.to_mujoco(first.state)
+        model, data = env.to_mujoco(first.state, looks)
         handle = mujoco.viewer.launch_passive(model, data)
     except Exception as error:  # GLFW and X fail in many ways
         raise ConfigError(
@@ -190,7 +192,7 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
     pictures, labels, lasts = [], [], []
     for number in range(config.episodes):
         frames = player.episode(config.seed + number)
-        frames = watch(env, frames) if config.viewer else list(frames)
+        frames = watch(env, frames, config.looks) if config.viewer else list(frames)
         last = frames[-1]
         force = sum(frame.force for frame in frames) / max(1, last.step)
         done = "success" if last.success else "no success"
@@ -203,9 +205,7 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
         if config.clip or config.sheet:
             if not config.clip:  # a sheet shows twenty of them
                 frames = frames[:: math.ceil(len(frames) / SHEET_PICTURES)]
-            pictures += film(
-                env, frames, config.width, config.height, config.camera, config.backend
-            )
+            pictures += film(env, frames, config)
             labels += [caption(frame) for frame in frames]
     if config.clip or config.sheet:
         from agym_jax.clips import contact_sheet, write_clip
@@ -225,15 +225,11 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
     warnings.simplefilter("default")
     try:
         _check_outputs(config)
-        path = None
-        if config.policy not in BASELINES:
-            path = find_policy(config.env_name.rpartition(":")[2], config.load_dir, config.policy)
+        files = find_policies(config.env_name, config.load_dir, config.policy, config.person_policy)
         env = make(config.env_name, config.impl)
-        if path is None:
-            policy = baseline_policy(str(config.policy), env.action_size)
-        else:
-            policy = load_policy(path, env, config.any_env)
-        play(config, env, policy)
+        if config.looks != "primitives":  # before anything is compiled
+            check_looks(config.looks, env.robot)
+        play(config, env, load_policies(files, env, config.any_env))
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2

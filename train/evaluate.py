@@ -20,15 +20,12 @@ import numpy as np
 import tyro
 
 from agym_jax.errors import AgymError
+from train.acting import TREES, AnyPolicy, baseline_policy, find_policies, load_policies
 from train.configs import Count
 from train.envs import make_env, vectorize
 from train.npz import check_writable
-from train.policy import Policy, find_policy, load_policy
 from train.record import append_record, record
 from train.rollout import FORCE_KEY
-
-BASELINES = ("zero", "random")
-AnyPolicy = Callable[..., jax.Array]
 
 
 def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
@@ -48,18 +45,6 @@ def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[f
     centre = (share + weight / 2) / (1 + weight)
     half = z / (1 + weight) * math.sqrt(share * (1 - share) / trials + weight / (4 * trials))
     return max(0.0, centre - half), min(1.0, centre + half)
-
-
-def baseline_policy(name: str, action_size: int) -> AnyPolicy:
-    """``"zero"`` (do nothing) or ``"random"`` (uniform in [-1, 1]), called like a ``Policy``."""
-
-    def zero(obs: jax.Array, key: Any = None, deterministic: bool = True) -> jax.Array:
-        return jnp.zeros((*obs.shape[:-1], action_size))
-
-    def random(obs: jax.Array, key: Any = None, deterministic: bool = True) -> jax.Array:
-        return jax.random.uniform(key, (*obs.shape[:-1], action_size), minval=-1.0, maxval=1.0)
-
-    return {"zero": zero, "random": random}[name]
 
 
 @dataclass(frozen=True)
@@ -193,12 +178,13 @@ class Evaluator:
         """Run the episodes.
 
         Args:
-            policy: a ``Policy``, or a function ``(obs, key, deterministic) -> action``.
+            policy: a ``Policy``, a ``Pair`` of them, or a function
+                ``(obs, key, deterministic) -> action``.
             key: decides the episodes (and the samples of a policy that is not deterministic).
             deterministic: take the mode of the policy's distribution.
         """
         start = time.perf_counter()
-        run = self._run_policy if isinstance(policy, Policy) else self._run_function
+        run = self._run_policy if isinstance(policy, TREES) else self._run_function
         sums = jax.device_get(run(policy=policy, key=key, deterministic=deterministic))
         return result_of(self.env.name, sums, time.perf_counter() - start)
 
@@ -231,7 +217,7 @@ def evaluate(
 
     Args:
         env: environment or its id.
-        policy: a ``Policy``, ``"zero"``, ``"random"``, or a function like one.
+        policy: a ``Policy``, a ``Pair`` of them, ``"zero"``, ``"random"``, or a function like one.
         num_episodes: how many, all at once.
         key: random key or seed.
         impl: physics, if ``env`` is an id.
@@ -253,7 +239,9 @@ class EvaluateConfig:
     load_dir: str | None = None
     """--save-dir of a training run; without it and --policy, the policy shipped with agym_jax."""
     policy: str | None = None
-    """A policy file, or "zero" or "random"."""
+    """A policy file, or "zero" or "random"; the robot's, where there is one for each agent."""
+    person_policy: str | None = None
+    """The same for a person who acts; without it, the one that lies beside the robot's."""
     num_episodes: Count = 100
     """Episodes, all side by side."""
     seed: int = 1001
@@ -275,28 +263,23 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
     try:
         if config.json:
             check_writable(Path(config.json).parent, "Choose another file with --json.")
-        policy, path = config.policy, config.policy
-        if policy not in BASELINES:
-            path = find_policy(config.env_name.rpartition(":")[2], config.load_dir, config.policy)
+        files = find_policies(config.env_name, config.load_dir, config.policy, config.person_policy)
         env = make(config.env_name, config.impl)
-        if policy not in BASELINES:
-            policy = load_policy(Path(str(path)), env, config.any_env)
+        policy = load_policies(files, env, config.any_env)
         result = evaluate(
-            env,
-            policy,  # pyrefly: ignore
-            config.num_episodes,
-            config.seed,
-            deterministic=not config.non_det,
+            env, policy, config.num_episodes, config.seed, deterministic=not config.non_det
         )
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
     print(result.table())
     if config.json:
-        trained = dict(policy.info) if isinstance(policy, Policy) else {}
+        trained = dict(policy.info)
+        person = {"person_policy": files.person} if files.person else {}
         line = record(
             "evaluation",
-            policy=str(path),
+            policy=files.robot,
+            **person,
             policy_commit=trained.get("commit"),
             policy_env_steps=trained.get("env_steps"),
             seed=config.seed,

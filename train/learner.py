@@ -1,14 +1,14 @@
-"""The PPO learner: state, advantages, loss, and one compiled function for many updates.
+"""The PPO learner of one agent: state, loss, and what one update does with one rollout.
 
-Everything here is pure. One update is a rollout (``train.rollout``), generalised advantage
-estimation with the values of before the update, and ``ppo_epoch`` passes of mini-batch gradient
-steps.
+Everything here is pure. An update is generalised advantage estimation with the values of before
+it, and ``ppo_epoch`` passes of mini-batch gradient steps. Where several devices share the worlds
+(``axis``), each has a part of the batch; gradients and statistics are those of all of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -18,9 +18,9 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import PPONetworkParams
 
 from train.advantage import compute_gae, values_of
-from train.configs import PPOConfig
+from train.configs import LearnConfig
 from train.networks import STD_MIN, Architecture, init_policy, make_networks
-from train.rollout import Batch, Worlds, collect, strong_types, zero_totals
+from train.rollout import Batch, strong_types
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
 LOSSES = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction", "noise_std")
@@ -38,9 +38,10 @@ class LearnerState:
     key: jax.Array
     env_steps: jax.Array  # environment steps so far; the learning rate follows it    ()
     updates: jax.Array  # updates so far    ()
+    value_normalizer: Any = None  # of what the value function reads; None where that is the same
 
 
-def architecture(config: PPOConfig, observation_size: int, action_size: int) -> Architecture:
+def architecture(config: LearnConfig, observation_size: int, action_size: int) -> Architecture:
     """The networks that a configuration asks for."""
     return Architecture(
         observation_size=observation_size,
@@ -54,16 +55,25 @@ def architecture(config: PPOConfig, observation_size: int, action_size: int) -> 
     )
 
 
-def make_optimizer(config: PPOConfig) -> optax.GradientTransformation:
+def make_optimizer(config: LearnConfig) -> optax.GradientTransformation:
     """Gradient clipping and Adam, without the learning rate."""
     return optax.chain(
         optax.clip_by_global_norm(config.max_grad_norm), optax.scale_by_adam(eps=config.eps)
     )
 
 
-def init_learner(config: PPOConfig, arch: Architecture, key: jax.Array) -> LearnerState:
-    """A learner that has seen nothing."""
-    networks = make_networks(arch)
+def init_learner(
+    config: LearnConfig, arch: Architecture, key: jax.Array, value_size: int | None = None
+) -> LearnerState:
+    """A learner that has seen nothing.
+
+    Args:
+        config: settings.
+        arch: networks.
+        key: random key.
+        value_size: size of what the value function reads; None if it reads what the policy reads.
+    """
+    networks = make_networks(arch, value_size)
     key_policy, key_value, key = jax.random.split(key, 3)
     params: Any = PPONetworkParams(
         policy=init_policy(networks, arch, key_policy),
@@ -77,6 +87,9 @@ def init_learner(config: PPOConfig, arch: Architecture, key: jax.Array) -> Learn
         key=key,
         env_steps=jnp.zeros((), jnp.uint32),
         updates=jnp.zeros((), jnp.int32),
+        value_normalizer=None
+        if value_size is None
+        else running_statistics.init_state(jnp.zeros(value_size)),
     )
     return strong_types(learner)
 
@@ -86,18 +99,21 @@ def ppo_loss(
     normalizer: Any,
     data: dict[str, jax.Array],
     key: jax.Array,
-    config: PPOConfig,
+    config: LearnConfig,
     networks: Any,
+    value_normalizer: Any = None,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Clipped surrogate, (clipped) value loss and entropy bonus of one mini-batch.
 
     Args:
         params: parameters to differentiate.
         normalizer: observation statistics the data were collected with.
-        data: ``obs, raw_action, log_prob, advantage, value, target``, each (N, ...).
+        data: ``obs, raw_action, log_prob, advantage, value, target``, each (N, ...), and
+            ``value_obs`` where there is a ``value_normalizer``.
         key: random key (the entropy of a squashed Gaussian is sampled).
         config: settings.
         networks: from ``make_networks``.
+        value_normalizer: statistics of ``value_obs``; None if the value function reads ``obs``.
 
     Returns:
         The loss, and the scalars named in ``LOSSES``.
@@ -110,7 +126,10 @@ def ppo_loss(
     advantage = data["advantage"]
     policy_loss = -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
 
-    value = networks.value_network.apply(normalizer, params.value, data["obs"])
+    seen = (normalizer, data["obs"])
+    if value_normalizer is not None:
+        seen = (value_normalizer, data["value_obs"])
+    value = networks.value_network.apply(seen[0], params.value, seen[1])
     error = (value - data["target"]) ** 2
     if config.clip_value_loss:
         change = jnp.clip(value - data["value"], -config.clip_param, config.clip_param)
@@ -130,51 +149,70 @@ def ppo_loss(
     return loss, scalars
 
 
+def batch_steps(batch: Batch, axis: str | None) -> int:
+    """Environment steps of a rollout, those of the other devices included."""
+    return batch.reward.size * (1 if axis is None else jax.lax.axis_size(axis))
+
+
 def learn(
     learner: LearnerState,
     batch: Batch,
     last_obs: jax.Array,
     key: jax.Array,
-    config: PPOConfig,
+    config: LearnConfig,
     networks: Any,
     total_steps: jax.Array,
+    axis: str | None = None,
 ) -> tuple[LearnerState, dict[str, jax.Array]]:
     """One update from one rollout.
 
     Args:
         learner: state before.
         batch: rollout of (T, B).
-        last_obs: observation that follows it    (B, observation).
+        last_obs: what the value function reads after it    (B, observation).
         key: random key.
         config: settings.
         networks: from ``make_networks``.
         total_steps: environment steps at which the learning rate reaches zero, float32    ().
+        axis: name of the axis of devices that each have a part of the batch.
 
     Returns:
         State after (``key`` untouched) and the mean of each of ``LOSSES``.
     """
+
+    def mean(tree: Any) -> Any:
+        return tree if axis is None else jax.lax.pmean(tree, axis)
+
     stats_returns, reward = learner.returns, batch.reward
     if config.normalize_reward:
-        stats_returns = running_statistics.update(stats_returns, batch.discounted)
+        stats_returns = running_statistics.update(
+            stats_returns, batch.discounted, pmap_axis_name=axis
+        )
         spread: Any = stats_returns.std
         std = jnp.sqrt(spread**2 + 1e-8)
         reward = jnp.clip(reward / std, -REWARD_CLIP, REWARD_CLIP)
 
-    def value_fn(obs: jax.Array) -> jax.Array:
-        return networks.value_network.apply(learner.normalizer, learner.params.value, obs)
+    statistics = learner.value_normalizer or learner.normalizer
 
-    values, next_values = values_of(value_fn, batch, last_obs)
+    def value_fn(obs: jax.Array) -> jax.Array:
+        return networks.value_network.apply(statistics, learner.params.value, obs)
+
+    value_obs = batch.obs if batch.value_obs is None else batch.value_obs
+    values, next_values = values_of(value_fn, replace(batch, obs=value_obs), last_obs)
     advantage = compute_gae(
         reward, values, next_values, batch.done, config.gamma, config.gae_lambda
     )
+    centred = advantage - mean(advantage.mean())
     data = {
         "obs": batch.obs,
         "raw_action": batch.raw_action,
         "log_prob": batch.log_prob,
         "value": values,
         "target": advantage + values,
-        "advantage": (advantage - advantage.mean()) / (advantage.std() + 1e-5),
+        "advantage": centred / (jnp.sqrt(mean(jnp.mean(centred**2))) + 1e-5),
     }
+    if batch.value_obs is not None:
+        data["value_obs"] = batch.value_obs
     size = reward.size
     data = {name: leaf.reshape(size, *leaf.shape[2:]) for name, leaf in data.items()}
     optimizer = make_optimizer(config)
@@ -187,8 +225,10 @@ def learn(
         params, state = carry
         rows, key = item
         part = {name: leaf[rows] for name, leaf in data.items()}
-        grads, scalars = gradient(params, learner.normalizer, part, key, config, networks)
-        changes, state = optimizer.update(grads, state)
+        grads, scalars = gradient(
+            params, learner.normalizer, part, key, config, networks, learner.value_normalizer
+        )
+        changes, state = optimizer.update(mean(grads), state)
         params = jax.tree.map(lambda p, c: p - rate * c, params, changes)
         return (params, state), scalars
 
@@ -200,68 +240,19 @@ def learn(
     (params, state), scalars = jax.lax.scan(
         epoch, (learner.params, learner.optimizer), jax.random.split(key, config.ppo_epoch)
     )
-    normalizer = learner.normalizer
+    normalizer, value_normalizer = learner.normalizer, learner.value_normalizer
     if config.normalize_observations:
-        normalizer = running_statistics.update(normalizer, batch.obs, std_min_value=STD_MIN)
+        update = partial(running_statistics.update, std_min_value=STD_MIN, pmap_axis_name=axis)
+        normalizer = update(normalizer, batch.obs)
+        value_normalizer = value_normalizer and update(value_normalizer, batch.value_obs)
     learner = replace(
         learner,
         params=params,
         optimizer=state,
         normalizer=normalizer,
         returns=stats_returns,
-        env_steps=learner.env_steps + jnp.uint32(size),
+        env_steps=learner.env_steps + jnp.uint32(batch_steps(batch, axis)),
         updates=learner.updates + 1,
+        value_normalizer=value_normalizer,
     )
-    return learner, {name: jnp.mean(value) for name, value in scalars.items()}
-
-
-def make_updates(
-    venv: Any, config: PPOConfig, arch: Architecture
-) -> Callable[..., tuple[LearnerState, Worlds, dict[str, jax.Array]]]:
-    """The function to compile: ``count`` updates in one call.
-
-    Args:
-        venv: vectorised environment.
-        config: resolved settings (``num_processes`` is ``venv.num_envs``).
-        arch: networks.
-
-    Returns:
-        ``run(learner, worlds, count, total_steps)``: state and worlds afterwards, and totals over
-        all updates: those of ``train.rollout`` and ``loss/*``. ``count`` (int32) and the length of
-        the run, ``total_steps`` (float32), are traced: runs of every length share one compilation.
-    """
-    networks = make_networks(arch)
-
-    def run(
-        learner: LearnerState, worlds: Worlds, count: jax.Array, total_steps: jax.Array
-    ) -> tuple[LearnerState, Worlds, dict[str, jax.Array]]:
-        def update(_: jax.Array, carry: tuple) -> tuple:
-            learner, worlds, totals = carry
-            key, key_rollout, key_learn = jax.random.split(learner.key, 3)
-            worlds, batch, sums = collect(
-                networks,
-                venv,
-                learner,
-                worlds,
-                key_rollout,
-                num_steps=config.num_steps,
-                gamma=config.gamma,
-                reward_scaling=config.reward_scaling,
-            )
-            learner, losses = learn(
-                replace(learner, key=key),
-                batch,
-                worlds.env_state.obs,
-                key_learn,
-                config,
-                networks,
-                total_steps,
-            )
-            sums |= {f"loss/{name}": value for name, value in losses.items()}
-            return learner, worlds, {name: total + sums[name] for name, total in totals.items()}
-
-        totals = zero_totals(worlds.env_state)
-        totals |= {f"loss/{name}": jnp.zeros((), jnp.float32) for name in LOSSES}
-        return jax.lax.fori_loop(0, count, update, (learner, worlds, totals))
-
-    return run
+    return learner, mean({name: jnp.mean(value) for name, value in scalars.items()})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
 
@@ -39,8 +39,17 @@ class Architecture:
 
 
 @cache
-def make_networks(arch: Architecture) -> ppo_networks.PPONetworks:
-    """Policy network, value network and action distribution of an architecture."""
+def make_networks(arch: Architecture, value_size: int | None = None) -> ppo_networks.PPONetworks:
+    """Policy network, value network and action distribution of an architecture.
+
+    Args:
+        arch: of the networks.
+        value_size: size of what the value network reads, if not ``arch.observation_size``.
+    """
+    if value_size is not None:
+        networks: Any = make_networks(arch)
+        wider = make_networks(replace(arch, observation_size=value_size))
+        return networks.replace(value_network=wider.value_network)
     # Brax makes a constant here, which must not belong to whichever function is being traced.
     with jax.ensure_compile_time_eval():
         return ppo_networks.make_ppo_networks(

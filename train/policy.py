@@ -19,6 +19,7 @@ import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd
 
 from agym_jax.errors import MissingAssetError, did_you_mean
+from train.envs import active_name, parts, static_name
 from train.errors import (
     DamagedFileError,
     PolicyDamagedError,
@@ -31,6 +32,7 @@ from train.npz import read_npz, write_npz
 
 FORMAT = 1
 FILE_NAME = "policy.npz"
+FILE_NAMES = {"robot": FILE_NAME, "joint": FILE_NAME, "person": "person_policy.npz"}
 
 
 @partial(
@@ -48,7 +50,7 @@ class Policy:
         mean: of the observation    (observation,)
         std: of the observation    (observation,)
         arch: sizes, layers, activation, distribution.
-        info: where it came from: ``env, layout, env_steps, commit, versions, ...``.
+        info: where it came from: ``env, agent, layout, env_steps, commit, versions, ...``.
     """
 
     weights: Any
@@ -80,6 +82,20 @@ class Policy:
         if key is None:
             raise ValueError("A sampled action needs a key: policy(obs, key, deterministic=False).")
         return sample_action(networks, normalizer, self.weights, obs, key)[0]
+
+
+MOVES = {"robot": "the robot", "person": "the person", "joint": "robot and person at once"}
+FLAGS = {
+    "robot": "--policy, and a --person-policy (a file, zero or random) where the person acts too",
+    "person": "--person-policy, and an id whose person acts (...Human-v0)",
+    "joint": "--policy alone, and the id it was trained in",
+}
+
+
+def train_command(env_name: str) -> str:
+    """The command that trains a policy for an environment."""
+    trainer = "ppo" if env_name == static_name(env_name) else "coop"
+    return f"python -m train.{trainer} --env-name {env_name}"
 
 
 def _flatten(tree: Mapping[str, Any], prefix: str) -> dict[str, np.ndarray]:
@@ -123,19 +139,23 @@ def save_policy(path: Path | str, policy: Policy) -> Path:
     return path
 
 
-def load_policy(path: Path | str, env: Any = None, any_env: bool = False) -> Policy:
+def load_policy(
+    path: Path | str, env: Any = None, any_env: bool = False, agent: str | None = None
+) -> Policy:
     """Read a policy.
 
     Args:
         path: file to read.
         env: environment that it must fit; None skips that check.
         any_env: accept a policy of another environment whose observation layout and action size
-            agree (a robot's policy fits the static and the active human of its pair).
+            agree.
+        agent: whom it shall move: "robot", "person", or "joint" for both; None = all who act.
 
     Raises:
         PolicyNotFoundError: no such file; lists the policies that lie near it.
         PolicyDamagedError: the file is not whole, or no policy.
-        PolicyEnvironmentError: trained in another environment.
+        PolicyEnvironmentError: trained for another task, robot or agent (a robot's policy fits the
+            still and the active person of its pair).
         PolicyLayoutError: reads another observation layout, or has other sizes.
     """
     path = Path(path)
@@ -160,28 +180,48 @@ def load_policy(path: Path | str, env: Any = None, any_env: bool = False) -> Pol
         info=meta,
     )
     if env is not None:
-        check_policy(policy, env, path, any_env)
+        check_policy(policy, env, path, any_env, agent)
     return policy
 
 
-def check_policy(policy: Policy, env: Any, path: Path | str, any_env: bool = False) -> None:
-    """Make sure that a policy fits an environment; see ``load_policy`` for the errors."""
-    trained_in = policy.info.get("env")
-    if trained_in != env.name and not any_env:
+def check_policy(
+    policy: Policy,
+    env: Any,
+    path: Path | str,
+    any_env: bool = False,
+    agent: str | None = None,
+) -> None:
+    """Make sure that a policy fits an environment; see ``load_policy`` for arguments and errors."""
+    agents = parts(env)
+    agent = agent or ("joint" if "joint" in agents else "robot")
+    part, whose = agents[agent], policy.info.get("agent", "robot")
+    trained_in = str(policy.info.get("env"))
+    if whose != agent:
         raise PolicyEnvironmentError(
-            f"{path} was trained in {trained_in!r}, not in {env.name!r}. Use --env-name "
-            f"{trained_in}, or train one: python -m train.ppo --env-name {env.name}"
+            f"{path} moves {MOVES[whose]} of {trained_in!r}, not {MOVES[agent]} of {env.name!r}. "
+            f"It goes with {FLAGS[whose]}."
+        )
+    fitting = {
+        "robot": (static_name(env.name), active_name(env.name)),
+        "person": (active_name(env.name),),
+        "joint": (env.name,),
+    }[agent]
+    if trained_in not in fitting and not any_env:
+        raise PolicyEnvironmentError(
+            f"{path} was trained in {trained_in!r}, not in {env.name!r}. What fits was trained in "
+            f"{' or '.join(map(repr, fitting))}. Use --env-name {trained_in}, or train one: "
+            f"{train_command(env.name)}"
         )
     layout = policy.info.get("layout")
-    if layout != env.layout_version:
+    if layout != part.layout:
         raise PolicyLayoutError(
             f"{path} reads observation layout {layout!r}, but {env.name!r} now has "
-            f"{env.layout_version!r}: the entries of the observation have changed since it was "
+            f"{part.layout!r}: the entries of the observation have changed since it was "
             f"trained. Train it again, or use the version of agym_jax that it was made with "
             f"({policy.info.get('versions', {}).get('agym_jax', 'unknown')})."
         )
     theirs = (policy.arch.observation_size, policy.arch.action_size)
-    ours = (env.observation_size, env.action_size)
+    ours = part.sizes
     if theirs != ours:
         raise PolicyLayoutError(
             f"{path} takes {theirs[0]} observations and gives {theirs[1]} actions; {env.name!r} "
@@ -224,7 +264,7 @@ def find_policy(
     Raises:
         PolicyNotFoundError: there is none; lists what there is and how to train one.
     """
-    train = f"Train one: python -m train.ppo --env-name {env_name}"
+    train = f"Train one: {train_command(env_name)}"
     if policy is not None:
         if not Path(policy).is_file():
             raise _not_found(Path(policy))
@@ -246,3 +286,10 @@ def find_policy(
         raise PolicyNotFoundError(
             f"agym_jax ships no policy for {env_name!r}. {did_you_mean(env_name, _shipped())} {train}"
         ) from None
+
+
+def shipped_person(env_name: str) -> Path:
+    """Where the person's policy of an environment lies if it is shipped; it may not be there."""
+    from agym_jax.assets import asset_root
+
+    return asset_root() / "policies" / "person" / f"{env_name}.npz"

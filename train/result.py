@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from train.configs import PPOConfig
+from train.configs import LearnConfig
 from train.curve import Row
-from train.learner import LearnerState
 from train.policy import Policy
 from train.progress import duration
 
@@ -17,7 +18,7 @@ class TrainResult:
     """What a run leaves.
 
     Attributes:
-        policy: the trained policy.
+        policies: the trained policies by agent: "robot", "person", or "joint" for both at once.
         learner: the learner, for going on in Python.
         config: settings with everything automatic filled in.
         curve: rows of the learning curve, of all sessions.
@@ -30,9 +31,9 @@ class TrainResult:
         folder: where the files are; None if nothing was written.
     """
 
-    policy: Policy
-    learner: LearnerState
-    config: PPOConfig
+    policies: Mapping[str, Policy]
+    learner: Any
+    config: LearnConfig
     curve: list[Row]
     env_steps: int
     session_steps: int
@@ -41,6 +42,11 @@ class TrainResult:
     nan_steps: int
     interrupted: bool
     folder: Path | None
+
+    @property
+    def policy(self) -> Policy:
+        """The robot's policy, or the one for both."""
+        return next(iter(self.policies.values()))
 
     @property
     def steps_per_second(self) -> float:
@@ -69,5 +75,6 @@ def summary(result: TrainResult) -> str:
         f"in {duration(result.train_seconds)} ({result.steps_per_second:,.0f} steps/s)."
     )
     if result.folder:
-        text += f"\nPolicy, curve.png, curve.jsonl, checkpoints: {result.folder}"
+        what = "Policy" if len(result.policies) == 1 else "Policies"
+        text += f"\n{what}, curve.png, curve.jsonl, checkpoints: {result.folder}"
     return text

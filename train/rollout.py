@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-
-from train.networks import sample_action
 
 FORCE_KEY = "force/on_person"
 EPISODE_TOTALS = ("episodes", "return", "return_squared", "success", "force", "length")
@@ -34,12 +33,14 @@ class Batch:
 
     obs: jax.Array  # (T, B, observation)
     raw_action: jax.Array  # (T, B, action)
-    log_prob: jax.Array  # (T, B)
+    log_prob: Any  # (T, B); where two learn, of each by its name
     reward: jax.Array  # scaled by reward_scaling    (T, B)
     discounted: jax.Array  # discounted return of the episode up to this step    (T, B)
     done: jax.Array  # (T, B)
     truncation: jax.Array  # (T, B)
     terminal_obs: jax.Array  # last observation of an episode, where done    (T, B, observation)
+    value_obs: jax.Array | None = None  # what the value function reads if not obs, which then also
+    # is what terminal_obs has    (T, B, value observation)
 
 
 def first_worlds(venv: Any, key: jax.Array, stagger: bool) -> Worlds:
@@ -87,7 +88,7 @@ def account(
     worlds: Worlds,
     totals: dict[str, jax.Array],
     raw_action: jax.Array,
-    log_prob: jax.Array,
+    log_prob: Any,
     after: Any,
     gamma: float,
     reward_scaling: float,
@@ -98,7 +99,7 @@ def account(
         worlds: before the step.
         totals: from ``zero_totals`` or an earlier step.
         raw_action: of the step    (B, action).
-        log_prob: of the action    (B,).
+        log_prob: of the action    (B,), or of each agent's by its name.
         after: state of the environment after the step.
         gamma: discount, for the running discounted return.
         reward_scaling: factor on the reward.
@@ -151,9 +152,8 @@ def account(
 
 
 def collect(
-    networks: Any,
+    act: Callable[[jax.Array, jax.Array], tuple],
     venv: Any,
-    learner: Any,
     worlds: Worlds,
     key: jax.Array,
     *,
@@ -164,9 +164,8 @@ def collect(
     """Step all worlds ``num_steps`` times with the current policy.
 
     Args:
-        networks: from ``make_networks``.
+        act: (observation, key) -> action, raw sample, log-probability, as ``sample_action``.
         venv: vectorised, auto-resetting environment of B worlds.
-        learner: holds ``params.policy`` and ``normalizer``.
         worlds: where the worlds are.
         key: random key.
         num_steps: T.
@@ -181,9 +180,7 @@ def collect(
     def step(carry: tuple[Worlds, dict], key: jax.Array) -> tuple[tuple[Worlds, dict], Batch]:
         worlds, totals = carry
         before = worlds.env_state
-        action, raw, log_prob = sample_action(
-            networks, learner.normalizer, learner.params.policy, before.obs, key
-        )
+        action, raw, log_prob = act(before.obs, key)
         after = venv.step(before, action)
         worlds, totals, batch = account(worlds, totals, raw, log_prob, after, gamma, reward_scaling)
         return (worlds, totals), batch

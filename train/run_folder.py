@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from train.configs import PPOConfig
+from train.configs import LearnConfig
 from train.npz import check_writable, write_file
 from train.plots import plot_curve
-from train.policy import FILE_NAME
+from train.policy import FILE_NAMES, Policy, save_policy
 from train.record import record
 
 
@@ -22,7 +22,6 @@ class RunFolder:
     Attributes:
         path: the folder.
         checkpoints: folder of the checkpoints in it.
-        policy: policy file in it.
         curve: learning curve, one JSON object a line.
         picture: learning curve as a picture.
     """
@@ -30,7 +29,6 @@ class RunFolder:
     def __init__(self, save_dir: str, env_name: str) -> None:
         self.path = Path(save_dir) / env_name
         self.checkpoints = self.path / "checkpoints"
-        self.policy = self.path / FILE_NAME
         self.curve = self.path / "curve.jsonl"
         self.picture = self.path / "curve.png"
 
@@ -55,10 +53,15 @@ class RunFolder:
         check_writable(self.checkpoints)
         return aside
 
-    def write_config(self, config: PPOConfig, **fields: Any) -> None:
+    def write_config(self, config: LearnConfig, **fields: Any) -> None:
         """Save the resolved settings with commit, versions and device."""
         line = record("training-config", config=dataclasses.asdict(config), **fields)
         write_file(self.path / "config.json", (json.dumps(line, indent=2) + "\n").encode())
+
+    def save_policies(self, policies: Mapping[str, Policy]) -> None:
+        """Save the policies of all agents."""
+        for agent, policy in policies.items():
+            save_policy(self.path / FILE_NAMES[agent], policy)
 
     def write_curve(self, curve: Sequence[Mapping[str, Any]]) -> None:
         """Replace the curve, as when a run goes on from a checkpoint."""

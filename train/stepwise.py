@@ -1,6 +1,6 @@
 """One compiled environment step for everything: evaluation and training driven from Python.
 
-Compiling the environment takes a minute on a CPU, and a program of many updates (``train.learner``)
+Compiling the environment takes a minute on a CPU, and a program of many updates (``train.updates``)
 or of whole episodes (``train.evaluate``) contains it anew. Here reset and step of a batch are
 compiled once and called again and again, which costs nothing where a step takes milliseconds.
 """
@@ -17,11 +17,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from train.configs import PPOConfig
+from train.acting import AnyPolicy
+from train.algorithm import Algorithm
+from train.configs import LearnConfig
 from train.errors import ConfigError
-from train.evaluate import AnyPolicy, EvaluationResult, add_step, result_of, zero_sums
-from train.learner import LOSSES, LearnerState, learn
-from train.networks import Architecture, make_networks, sample_action
+from train.evaluate import EvaluationResult, add_step, result_of, zero_sums
 from train.rollout import Worlds, account, first_worlds, strong_types, zero_totals
 
 
@@ -69,31 +69,25 @@ def _aval(leaf: Any) -> jax.ShapeDtypeStruct:
 
 
 def start_stepwise(
-    venv: StepwiseEnv, config: PPOConfig, arch: Architecture, learner: LearnerState, key: jax.Array
+    venv: StepwiseEnv, config: LearnConfig, algorithm: Algorithm, key: jax.Array
 ) -> tuple[Worlds, Callable]:
-    """Worlds at their start, and ``run`` as from ``train.learner.make_updates``.
+    """Worlds at their start, and ``run`` as from ``train.updates.make_updates``.
 
     Args:
         venv: the environment.
         config: resolved settings.
-        arch: networks.
-        learner: any learner of this architecture; unused, the programs compile when called.
+        algorithm: how to learn; its programs compile when called.
         key: random key of the worlds.
     """
-    networks = make_networks(arch)
-
-    @jax.jit
-    def act(learner: LearnerState, obs: jax.Array, key: jax.Array) -> tuple:
-        return sample_action(networks, learner.normalizer, learner.params.policy, obs, key)
-
+    act = jax.jit(algorithm.act)
     note = jax.jit(partial(account, gamma=config.gamma, reward_scaling=config.reward_scaling))
-    improve = jax.jit(partial(learn, config=config, networks=networks))
+    improve = jax.jit(algorithm.learn)
 
     def run(
-        learner: LearnerState, worlds: Worlds, count: jax.Array, total_steps: jax.Array
-    ) -> tuple[LearnerState, Worlds, dict[str, jax.Array]]:
+        learner: Any, worlds: Worlds, count: jax.Array, total_steps: jax.Array
+    ) -> tuple[Any, Worlds, dict[str, jax.Array]]:
         totals = zero_totals(worlds.env_state)
-        lost = {f"loss/{name}": jnp.zeros(()) for name in LOSSES}
+        lost = {f"loss/{name}": jnp.zeros(()) for name in algorithm.losses}
         for _ in range(int(count)):
             key, key_rollout, key_learn = jax.random.split(learner.key, 3)
             batches = []
@@ -107,7 +101,7 @@ def start_stepwise(
                 jax.tree.map(lambda *leaves: jnp.stack(leaves), *batches),
                 worlds.env_state.obs,
                 key_learn,
-                total_steps=total_steps,
+                total_steps,
             )
             lost = {name: lost[name] + losses[name.removeprefix("loss/")] for name in lost}
         return learner, worlds, totals | lost

@@ -23,8 +23,10 @@ from gymnasium import spaces
 
 import agym_jax
 from agym_jax.errors import ActionError, AgymError, did_you_mean
+from agym_jax.meshes import check_looks
 from agym_jax.person.draw import People
 from agym_jax.physics import choose_impl
+from agym_jax.registry import parse
 from agym_jax.render import Marker, Renderer
 
 RENDER_MODES = ("rgb_array",)
@@ -62,9 +64,12 @@ class GymnasiumEnv(gymnasium.Env):
         width: of pictures [pixels].
         height: of pictures [pixels].
         camera: name or number of the camera.
+        looks: of the robot in pictures, ``"primitives"`` or ``"meshes"``, see ``agym_jax.meshes``.
 
     Raises:
-        UnknownNameError: there is no such id.
+        UnknownNameError: there is no such id, or there are no such looks.
+        MissingExtraError: the meshes' package is not installed: ``pip install "agym_jax[meshes]"``.
+        MeshError: this robot has no meshes, or they do not fit it.
         RenderModeError: there is no such render mode.
         ImplementationError: there is no such physics, or it is not installed.
     """
@@ -80,12 +85,15 @@ class GymnasiumEnv(gymnasium.Env):
         width: int = 480,
         height: int = 360,
         camera: str | int = "front",
+        looks: str = "primitives",
     ):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise RenderModeError(
                 f"{env_id} has no render mode {render_mode!r}. {did_you_mean(render_mode, RENDER_MODES)}"
             )
+        check_looks(looks, parse(env_id).robot)
         self._programs = _programs(env_id, impl, people)
+        self._looks = looks
         self.render_mode = render_mode
         self._view = (width, height, camera)
         env = self._programs.env
@@ -167,7 +175,7 @@ class GymnasiumEnv(gymnasium.Env):
             return None
         state = jax.device_get(self.state)
         if self._pictures is None:
-            model, data = self.core.to_mujoco(state)
+            model, data = self.core.to_mujoco(state, self._looks)
             width, height, camera = self._view
             self._pictures = Renderer(model, width, height, camera), model, data
         renderer, model, data = self._pictures

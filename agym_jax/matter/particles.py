@@ -79,8 +79,8 @@ class ParticleSpec:
 
 FOOD = ParticleSpec(SPOON, count=8, substeps=3)
 """AG feeding.py reset: 2 x 2 x 2 spheres; physics steps of 10 ms, so substeps of 3.3 ms."""
-WATER = ParticleSpec(CUP, count=64)
-"""AG drinking.py reset: 4 x 4 x 4 spheres; physics steps of 4 ms, so substeps of 2 ms."""
+WATER = ParticleSpec(CUP, count=64, substeps=4)
+"""AG drinking.py reset: 4 x 4 x 4 spheres, a taller heap: substeps of 2.5 ms."""
 
 
 @jax.tree_util.register_dataclass
@@ -112,13 +112,13 @@ class Obstacles:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Contact:
-    """What every particle touched at any time while it was advanced; masked ones touch nothing."""
+    """What every particle touched in the last physics step; masked ones touch nothing."""
 
     vessel: Array  # (n,) bool
     person: Array  # (n,) bool
     furniture: Array  # (n,) bool
     floor: Array  # (n,) bool
-    lost: Array  # particles that went non-finite and were masked           () int32
+    lost: Array  # that went non-finite on the whole way and were masked    () int32
 
 
 @jax.tree_util.register_dataclass
@@ -175,7 +175,7 @@ def advance(
         dt: length of one physics step [s].
 
     Returns:
-        particles, and what they touched on the way.
+        particles, and what they touched in the last physics step.
     """
     h = dt / spec.substeps
     alive = particles.alive & _is_finite(particles.pos_w, particles.vel_w)
@@ -189,14 +189,15 @@ def advance(
     _, contacts = push_pairs(spec.radius, spec.friction, local, local, alone, jnp.float32(CALM), h)
     unseen = (jnp.zeros(spec.count, bool),) * 4
 
-    def substep(carry: tuple, now: _Moving) -> tuple[tuple, None]:
-        pos, vel, contacts, before, seen = carry
+    def substep(carry: tuple, moment: tuple[_Moving, Array]) -> tuple[tuple, None]:
+        (pos, vel, contacts, before, seen), (now, begins) = carry, moment
         pos, vel, contacts, touched = _substep(spec, pos, vel, contacts, before, now, motion, h)
-        seen = tuple(a | b for a, b in zip(seen, touched, strict=True))
+        seen = tuple((a & ~begins) | b for a, b in zip(seen, touched, strict=True))
         return (pos, vel, contacts, now, seen), None
 
     later = jax.tree.map(lambda x: x[1:], moments)
-    carry, _ = jax.lax.scan(substep, (pos, vel, contacts, first, unseen), later)
+    begins = jnp.arange(len(later.pos_w)) % spec.substeps == 0  # a physics step
+    carry, _ = jax.lax.scan(substep, (pos, vel, contacts, first, unseen), (later, begins))
     pos, vel = (jnp.stack(x, -1) for x in carry[:2])
     seen = carry[-1]
     moves = alive & _is_finite(pos, vel)

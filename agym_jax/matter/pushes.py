@@ -8,6 +8,7 @@ Vectors are three arrays of coordinates (``shapes.Xyz``).
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.lax import rsqrt
@@ -80,8 +81,9 @@ def push_pairs(
     both = jnp.minimum(weight[:, None], weight[None])
     undo = both * jnp.minimum(1.0, friction * depth * rsqrt(slid))
     push = both * depth * inverse + undo * along
-    local = add(local, _total(sub(scale(push, apart), scale(undo, moved))))
-    return local, jnp.sum(depth > 0, axis=0, dtype=depth.dtype) - 1.0
+    touched = (depth > 0).astype(depth.dtype)
+    x, y, z, count = _sums(*sub(scale(push, apart), scale(undo, moved)), touched)
+    return add(local, (x, y, z)), count - 1.0
 
 
 def push_vessel(
@@ -112,8 +114,33 @@ def push_vessel(
 
 
 def _pairs(a: Xyz) -> Xyz:
-    """From every particle (first axis) to every other (second), each (n, n)."""
-    return a[0] - a[0][:, None], a[1] - a[1][:, None], a[2] - a[2][:, None]
+    """To every particle (first axis) from every other (second), each (n, n)."""
+    return a[0][:, None] - a[0], a[1][:, None] - a[1], a[2][:, None] - a[2]
+
+
+@jax.custom_jvp
+def _sums(*pairs: Array) -> tuple[Array, ...]:
+    """Sums over the second axis of arrays (n, n), each (n,).
+
+    On a GPU they are one reduction: then no array of pairs is ever written, nor computed once for each.
+    """
+    return jax.lax.platform_dependent(*pairs, cuda=_sums_at_once, default=_sums_by_one)
+
+
+@_sums.defjvp
+def _sums_jvp(pairs: tuple[Array, ...], changes: tuple[Array, ...]) -> tuple:
+    """They are linear."""
+    return _sums(*pairs), _sums_by_one(*changes)
+
+
+def _sums_by_one(*pairs: Array) -> tuple[Array, ...]:
+    return tuple(jnp.sum(x, axis=1) for x in pairs)
+
+
+def _sums_at_once(*pairs: Array) -> tuple[Array, ...]:
+    zeros = (jnp.zeros((), pairs[0].dtype),) * len(pairs)
+    both = lambda a, b: tuple(x + y for x, y in zip(a, b, strict=True))  # noqa: E731
+    return tuple(jax.lax.reduce(pairs, zeros, both, (1,)))
 
 
 def _total(a: Xyz) -> Xyz:

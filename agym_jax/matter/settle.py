@@ -55,6 +55,7 @@ class Filling:
         height: of its lowest layer above the vessel's origin [m].
         tilt: the largest [rad].
         tries: grids dropped for each row.
+        finer: substeps while they fall and turn, times the spec's: a tall heap falls hard.
     """
 
     spec: ParticleSpec
@@ -63,11 +64,12 @@ class Filling:
     height: float
     tilt: float
     tries: int
+    finer: int
 
 
 FILLINGS = {
-    "spoon": Filling(FOOD, 0.01, (2, 2, 2), 0.0147, np.deg2rad(20.0), 16),
-    "cup": Filling(WATER, 0.004, (4, 4, 4), 0.075, np.deg2rad(10.0), 2),
+    "spoon": Filling(FOOD, 0.01, (2, 2, 2), 0.0147, np.deg2rad(20.0), 16, 1),
+    "cup": Filling(WATER, 0.01, (4, 4, 4), 0.075, np.deg2rad(10.0), 2, 2),
 }
 
 
@@ -170,6 +172,12 @@ def turning(quat: Array, n_turn: int, n_rest: int) -> Obstacles:
     )
 
 
+def held(quat: Array, n_rest: int) -> Obstacles:
+    """The same vessel, which has turned (4,) and rests for some physics steps."""
+    motion = turning(quat, 0, n_rest)
+    return replace(motion, vessel_quat_w=jnp.broadcast_to(quat, motion.vessel_quat_w.shape))
+
+
 def build(name: str, seed: int = 0, rows: int = 64) -> tuple[Settled, dict[str, float]]:
     """Let particles settle at K tilts.
 
@@ -198,10 +206,11 @@ def build(name: str, seed: int = 0, rows: int = 64) -> tuple[Settled, dict[str, 
     @jax.vmap
     def settle(local: Array, quat: Array) -> tuple[Array, Array]:
         particles = Particles(local, jnp.zeros_like(local), jnp.ones(spec.count, bool))
-        slick, (fall, turn, rest) = replace(spec, friction=SLICK), steps
+        fine, (fall, turn, rest) = replace(spec, substeps=how.finer * spec.substeps), steps
         upright = jnp.array([1.0, 0.0, 0.0, 0.0])
-        particles, _ = advance(slick, particles, turning(upright, 0, fall), how.dt)
-        particles, _ = advance(spec, particles, turning(quat, turn, rest), how.dt)
+        fall_on = turning(upright, 0, fall), turning(quat, turn, 0), held(quat, rest)
+        for some, motion in zip((replace(fine, friction=SLICK), fine, spec), fall_on, strict=True):
+            particles, _ = advance(some, particles, motion, how.dt)
         return particles.pos_w @ rotation(quat), particles.vel_w
 
     out = settle(jnp.asarray(cell + shift, jnp.float32), jnp.asarray(quat_w, jnp.float32))

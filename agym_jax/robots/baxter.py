@@ -5,7 +5,7 @@ Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robot
 
 import math
 
-from agym_jax.spec import Arm, BaseSearch, Pose, RobotSpec
+from agym_jax.spec import Arm, BaseSearch, MeshModel, MeshPart, Pose, RobotSpec
 
 _JOINTS = ("s0", "s1", "e0", "e1", "w0", "w1", "w2")
 _LINKS = ("gripper", "gripper_base", "wrist", "lower_forearm", "upper_forearm")
@@ -19,6 +19,23 @@ def _arm(side: str) -> Arm:
         tool_frame=f"{side}_tool_frame",
         gripper=tuple(f"{side[0]}_gripper_{x}_finger_joint" for x in "lr"),
         links=tuple(f"{side}_{x}_collision" for x in _LINKS),
+    )
+
+
+ROBOSUITE = "robosuite/models/assets"
+
+
+def gripper_meshes(link: str) -> tuple[MeshPart, ...]:
+    """What the base of Rethink's electric gripper wears; Sawyer's is the same.
+
+    The pose brings the box about robosuite's mesh to the one about Assistive Gym's.
+    """
+    folder = f"{ROBOSUITE}/grippers/obj_meshes/rethink_gripper/electric_gripper_base"
+    pose = Pose((0.0029, 0.0, -0.025), (math.sqrt(0.5), 0.0, 0.0, -math.sqrt(0.5)))
+    colours = ((0.64, 0.64, 0.64, 1.0), (0.64, 0.0, 0.0, 1.0))  # as robosuite paints them
+    return tuple(
+        MeshPart("robosuite", f"{folder}/electric_gripper_base_{i}.obj", link, rgba, pose)
+        for i, rgba in enumerate(colours)
     )
 
 
@@ -89,4 +106,16 @@ BAXTER = RobotSpec(
         # AG v0.1 dressing.py: Euler (0, -pi/2, 0), the hand along world -x
         "Dressing": (_H, 0.0, -_H, 0.0),
     },
+    # MIT. Its fingers are shorter than Assistive Gym's: ours stay primitives
+    meshes=(
+        MeshModel("robosuite", f"{ROBOSUITE}/robots/baxter/robot.xml", ("torso", "torso")),
+        MeshPart(
+            "robosuite",
+            f"{ROBOSUITE}/bullet_data/baxter_description/meshes/base/PEDESTAL.stl",
+            "pedestal",
+            (0.2, 0.2, 0.2, 1.0),
+        ),
+        *gripper_meshes("left_gripper_base"),
+        *gripper_meshes("right_gripper_base"),
+    ),
 )

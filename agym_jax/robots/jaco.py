@@ -5,7 +5,7 @@ Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robot
 
 import math
 
-from agym_jax.spec import Arm, BaseSearch, Pose, RobotSpec
+from agym_jax.spec import Arm, BaseSearch, MeshModel, MeshPart, Pose, Rgba, RobotSpec
 
 _ARM = Arm(
     joints=tuple(f"j2s7s300_joint_{i}" for i in range(1, 8)),
@@ -14,6 +14,17 @@ _ARM = Arm(
     gripper=tuple(f"j2s7s300_joint_finger_{i}" for i in range(1, 4)),
     links=("link_7_collision", "link_6_collision", "link_5_collision", "link_4_collision"),
 )
+_ROBOSUITE = "robosuite/models/assets"
+_BLACK, _PLASTIC = (0.05, 0.05, 0.05, 1.0), (0.88, 0.86, 0.86, 1.0)  # as robosuite paints them
+_CARBON = (0.14, 0.14, 0.14, 1.0)  # light enough for its forms to be seen
+
+
+def _hand_mesh(name: str, link: str, rgba: Rgba) -> MeshPart:
+    """A mesh of robosuite's hand, whose frame is the link's."""
+    folder = f"{_ROBOSUITE}/grippers/meshes/jaco_three_finger_gripper"
+    return MeshPart("robosuite", f"{folder}/{name}.stl", f"j2s7s300_link_{link}", rgba)
+
+
 _H = math.sqrt(0.5)
 _C, _S = math.cos(0.05), math.sin(0.05)
 
@@ -71,4 +82,17 @@ JACO = RobotSpec(
         # section 6: (0, -pi/2, 0), the hand points along world -x
         "Dressing": (_H, 0.0, -_H, 0.0),
     },
+    # MIT. The hand's own model there turns its fingers about other axes; the meshes are the URDF's.
+    meshes=(
+        MeshModel(
+            "robosuite",
+            f"{_ROBOSUITE}/robots/jaco/robot.xml",
+            ("j2s7s300_link_0", "j2s7s300_link_base"),
+            colours={_BLACK: _CARBON},
+        ),
+        _hand_mesh("hand_3finger", "7", _CARBON),
+        _hand_mesh("ring_small", "7", _PLASTIC),
+        *(_hand_mesh("finger_proximal", f"finger_{i}", _PLASTIC) for i in (1, 2, 3)),
+        *(_hand_mesh("finger_distal", f"finger_tip_{i}", _PLASTIC) for i in (1, 2, 3)),
+    ),
 )

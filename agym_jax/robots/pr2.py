@@ -5,7 +5,7 @@ Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robot
 
 import math
 
-from agym_jax.spec import Arm, BaseSearch, Pose, RobotSpec
+from agym_jax.spec import Arm, BaseSearch, MeshModel, Pose, RobotSpec
 
 _H = math.sqrt(0.5)
 _C, _S = math.cos(0.1), math.sin(0.1)
@@ -89,4 +89,20 @@ PR2 = RobotSpec(
         # section 6: (0, 0, pi), the hand points along world -x
         "Dressing": (0.0, 0.0, 0.0, 1.0),
     },
+    # BSD, says the package's README of pr2_description
+    meshes=(
+        MeshModel(
+            "example-robot-data",
+            "cmeel.prefix/share/example-robot-data/robots/pr2_description/urdf/pr2.urdf",
+            ("base_footprint", "base_footprint"),
+            # where Assistive Gym has them; ours do not move
+            angles={"torso_lift_joint": 0.33, "laser_tilt_mount_joint": 0.0},
+            # its textures are not there: white and grey instead of the blue, green and red below them
+            colours={
+                (0.0, 0.0, 0.8, 1.0): (0.84, 0.84, 0.84, 1.0),
+                (0.0, 0.8, 0.0, 1.0): (0.65, 0.65, 0.66, 1.0),
+                (0.8, 0.0, 0.0, 1.0): (0.3, 0.3, 0.31, 1.0),
+            },
+        ),
+    ),
 )

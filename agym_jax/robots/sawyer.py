@@ -5,7 +5,8 @@ Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robot
 
 import math
 
-from agym_jax.spec import Arm, BaseSearch, Pose, RobotSpec
+from agym_jax.robots.baxter import ROBOSUITE, gripper_meshes
+from agym_jax.spec import Arm, BaseSearch, MeshModel, MeshPart, Pose, RobotSpec
 
 _ARM = Arm(
     joints=tuple(f"right_j{i}" for i in range(7)),
@@ -76,4 +77,21 @@ SAWYER = RobotSpec(
         # AG v0.1 dressing.py: Euler (0, -pi/2, 0), the hand along world -x
         "Dressing": (_H, 0.0, -_H, 0.0),
     },
+    # MIT. Its fingers are shorter than Assistive Gym's: ours stay primitives
+    meshes=(
+        MeshModel(
+            "robosuite",
+            f"{ROBOSUITE}/robots/sawyer/robot.xml",
+            ("right_arm_base_link", "right_arm_base_link"),
+            colours={(1.0, 0.0, 0.0, 1.0): (0.64, 0.0, 0.0, 1.0)},  # Baxter's red
+        ),
+        MeshPart(
+            "robosuite",
+            f"{ROBOSUITE}/bases/meshes/rethink_mount/pedestal.stl",
+            "pedestal",
+            (0.2, 0.2, 0.2, 1.0),
+            Pose((0.0, 0.0, 0.0151)),  # robosuite stands it that much lower than the URDF
+        ),
+        *gripper_meshes("right_gripper_base"),
+    ),
 )

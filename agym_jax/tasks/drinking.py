@@ -8,6 +8,8 @@ DEVIATION(cup-tilt): the tilt reward is -|tilt - pi/2| with the angle between th
 vertical: -pi/2 for an upright cup, 0 for one that lies, -pi/2 upside down, continuous, the same for all
 robots and directions. AG takes an Euler angle, which for an upright cup jumps between -pi/2 and -3 pi/2;
 towards the person's side both are equal, the other way AG's is up to pi less.
+DEVIATION(drinking-clock): ten physics steps of 10 ms, as in Feeding, in which the water takes 40 substeps of
+2.5 ms; AG takes 25 steps of 4 ms. Motors follow the same exponential in time, and a control step is 0.1 s.
 DEVIATION(sip-speed): the speed of a drop is read before it vanishes; AG reads it afterwards, when it is 0.
 """
 
@@ -82,9 +84,9 @@ class Drinking:
     config: Config = Config()
     water: ParticleSpec = WATER
     name: str = "Drinking"
-    # AG env.py and drinking.py: 0.004 s x 25, gain 0.0005 a step, 1 N m, 25 x 0.05 rad
+    # AG env.py and drinking.py: 25 steps of 0.004 s, gain 0.0005 for each, 1 N m, 25 x 0.05 rad
     control: Control = Control(
-        time_step=0.004, frame_skip=25, rate=0.0005 / 0.004, max_torque=1.0, action_scale=1.25
+        time_step=0.01, frame_skip=10, rate=0.0005 / 0.004, max_torque=1.0, action_scale=1.25
     )
     gravity: float = 0.0  # AG drinking.py reset: none on the person; the water has its own
     arms: tuple[str, ...] = ("right",)
@@ -202,7 +204,7 @@ def fates_of(
     Args:
         config: thresholds.
         water: at the end of the control step.
-        contact: what it touched during the step.
+        contact: what it touched in the last physics step of it.
         mouth_pos_w: now [m] (3,).
         cup_pos_w: now [m] (3,).
         cup_quat_w: now, wxyz (4,).

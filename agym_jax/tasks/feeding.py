@@ -198,7 +198,7 @@ def fates_of(
     Args:
         config: thresholds.
         food: at the end of the control step.
-        contact: what it touched during the step.
+        contact: what it touched in the last physics step of it.
         has_hit: pieces that touched the person before (n,).
         mouth_pos_w: now [m] (3,).
     """

@@ -6,8 +6,6 @@ sits in the wheelchair with the head turned by up to 30 degrees; the goal is the
 DEVIATION(particle-obstacles): particles meet tool, person, table, bowl and floor, not the robot and not
 the wheelchair. What is eaten, spilled or poured away leaves the simulation; AG puts what is eaten far
 away and lets the rest lie.
-DEVIATION(particle-touch): a particle has touched what it touched at any time of the control step; AG
-looks at the contacts of its last physics step.
 """
 
 from __future__ import annotations

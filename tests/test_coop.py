@@ -1,0 +1,295 @@
+# ruff: noqa: D103 (a test's name says what it shows)
+"""Two learners on the fake pair of carts, from end to end."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from fake_pair_env import FakePairEnv
+from train_runs import check_continued, check_restored, kill_in_training, listening, same_bytes
+
+from train import coop, ppo
+from train.acting import Pair, baseline_policy
+from train.checkpoint import checkpoint_files
+from train.configs import CoopConfig, PPOConfig
+from train.envs import parts
+from train.errors import ActiveHumanError, CheckpointMismatchError, ConfigError
+from train.evaluate import Evaluator
+from train.policy import load_policy
+from train.result import summary
+from train.rollout import collect, first_worlds
+from train.team import TwoLearners
+
+CONFIG = CoopConfig(
+    env_name="FakeCarryHuman-v0",
+    num_env_steps=60_000,
+    num_processes=32,
+    num_mini_batch=4,
+    policy_hidden=(32,),
+    value_hidden=(32,),
+    lr=2e-3,
+    log_interval=8,
+)
+SMALL = dataclasses.replace(CONFIG, num_processes=4, num_env_steps=80, save_dir=None)
+CRITICS = pytest.mark.parametrize("central", [False, True], ids=["own critic", "central critic"])
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A finished run: environment and result."""
+    env = FakePairEnv()
+    folder = tmp_path_factory.mktemp("trained")
+    return env, coop.train(env, dataclasses.replace(CONFIG, save_dir=str(folder)))
+
+
+def updated(config, env=None):
+    """Two learners, a rollout of theirs and what follows it."""
+    env = env or FakePairEnv()
+    venv, algorithm = env.vectorize(config.num_processes), TwoLearners(config, env)
+    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
+    worlds = jax.jit(lambda key: first_worlds(venv, key, True))(jax.random.PRNGKey(1))
+    worlds, batch, _ = jax.jit(
+        lambda worlds, key: collect(
+            lambda obs, key: algorithm.act(learner, obs, key),
+            venv,
+            worlds,
+            key,
+            num_steps=config.num_steps,
+            gamma=config.gamma,
+            reward_scaling=1.0,
+        )
+    )(worlds, jax.random.PRNGKey(2))
+    return algorithm, learner, batch, worlds.env_state.obs
+
+
+def with_other_weights(learner, agent):
+    """The learners with the networks of one replaced by noise."""
+    member = learner.members[agent]
+    noise = jax.tree.map(lambda x: x + jnp.cos(jnp.arange(x.size)).reshape(x.shape), member.params)
+    members = {**learner.members, agent: dataclasses.replace(member, params=noise)}
+    return dataclasses.replace(learner, members=members)
+
+
+def test_two_learn_together_what_neither_can_do_alone(trained):
+    _, result = trained
+    assert result.curve[0]["success"] < 0.5 and result.last("success") > 0.9
+    measure, key = Evaluator(FakePairEnv(), 64), jax.random.PRNGKey(3)
+    robot, person, idle = *result.policies.values(), baseline_policy("zero", 1)
+    assert measure(Pair(robot, person, 2), key).success > 0.95
+    assert measure(Pair(robot, idle, 2), key).success == 0
+    assert measure(Pair(idle, person, 2), key).success == 0
+
+
+def test_both_are_trained_in_one_compiled_program(trained):
+    env, result = trained
+    assert len(result.curve) > 5
+    assert env.traces == {"reset": 1, "step": 1}
+
+
+def test_the_folder_has_both_policies(trained):
+    env, result = trained
+    names = {p.name for p in result.folder.iterdir()}
+    assert names >= {"config.json", "curve.jsonl", "curve.png", "checkpoints"}
+    assert {n for n in names if n.endswith(".npz")} == {"policy.npz", "person_policy.npz"}
+    obs = jax.random.normal(jax.random.PRNGKey(0), (5, 3))
+    for agent, name in (("robot", "policy.npz"), ("person", "person_policy.npz")):
+        policy = load_policy(result.folder / name, env, agent=agent)
+        assert policy.info["agent"] == agent and policy.info["env_steps"] == result.env_steps
+        seen = obs[:, : env.observation_sizes[agent]]
+        assert np.array_equal(policy(seen), result.policies[agent](seen))
+    config = json.loads((result.folder / "config.json").read_text())["config"]
+    assert config["central_critic"] is False and config["env_name"] == "FakeCarryHuman-v0"
+    assert {"loss/robot/kl", "loss/person/kl", "loss/person/value_loss"} <= result.curve[0].keys()
+    assert "Policies" in summary(result)
+
+
+@CRITICS
+@pytest.mark.parametrize("agent", ["robot", "person"])
+def test_an_action_does_not_depend_on_what_the_other_sees_by_one_bit(central, agent):
+    config = dataclasses.replace(SMALL, central_critic=central)
+    algorithm = TwoLearners(config, FakePairEnv())
+    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
+    act = jax.jit(algorithm.act)
+    own, other = ([0, 1], [2, 3, 4]) if agent == "robot" else ([2, 3, 4], [0, 1])
+    obs, key = jax.random.normal(jax.random.PRNGKey(1), (64, 5)), jax.random.PRNGKey(2)
+    pair = Pair(*algorithm.policies(learner, {}).values(), robot_columns=2)
+    acting = jax.jit(pair.__call__, static_argnames="deterministic")
+    column = 0 if agent == "robot" else 1
+
+    def actions(obs):
+        action, raw, log_prob = act(learner, obs, key)
+        mode, sample = acting(obs, key), acting(obs, key, deterministic=False)
+        return [x[:, column] for x in (action, raw, mode, sample)] + [log_prob[agent]]
+
+    before = actions(obs)
+    assert same_bytes(before, actions(obs.at[:, jnp.array(other)].multiply(-7.0)))
+    after = actions(obs.at[:, jnp.array(own)].multiply(-7.0))
+    assert not any(same_bytes(x, y) for x, y in zip(before, after, strict=True))
+
+
+@CRITICS
+@pytest.mark.parametrize(("agent", "other"), [("robot", "person"), ("person", "robot")])
+def test_given_the_batch_learning_does_not_depend_on_the_other_networks(central, agent, other):
+    algorithm, learner, batch, last = updated(dataclasses.replace(SMALL, central_critic=central))
+    learn = jax.jit(algorithm.learn)
+    key, total = jax.random.PRNGKey(3), jnp.float32(800)
+    after, losses = learn(learner, batch, last, key, total)
+    disturbed, changed = learn(with_other_weights(learner, other), batch, last, key, total)
+    assert same_bytes(after.members[agent], disturbed.members[agent])
+    assert not same_bytes(after.members[other].params, disturbed.members[other].params)
+    assert not same_bytes(after.members[agent].params, learner.members[agent].params)
+    own = [name for name in losses if name.startswith(agent)]
+    assert same_bytes([losses[n] for n in own], [changed[n] for n in own])
+
+
+def test_a_central_critic_reads_both_and_a_policy_never_does():
+    algorithm, learner, batch, last = updated(dataclasses.replace(SMALL, central_critic=True))
+    for agent in algorithm.agents:
+        member = learner.members[agent.name]
+        assert member.value_normalizer.mean.shape == (5,)
+        assert member.normalizer.mean.shape == (agent.part.sizes[0],)
+        value = agent.networks.value_network.apply
+        seen = agent.judged(batch.obs)
+        assert seen.shape[-1] == 5
+        moved = value(member.value_normalizer, member.params.value, seen + 1.0)
+        assert not np.allclose(moved, value(member.value_normalizer, member.params.value, seen))
+    after, _ = jax.jit(algorithm.learn)(
+        learner, batch, last, jax.random.PRNGKey(3), jnp.float32(800)
+    )
+    statistics = after.members["person"].value_normalizer
+    assert np.allclose(statistics.mean, batch.obs.mean((0, 1)), atol=1e-5)
+    run = coop.train(FakePairEnv(), dataclasses.replace(SMALL, central_critic=True))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(run.learner.members))
+
+
+@CRITICS
+def test_restored_learners_learn_on_exactly_as_those_that_were_never_saved(tmp_path, central):
+    config, env = dataclasses.replace(SMALL, central_critic=central), FakePairEnv()
+    restored = check_restored(env, config, TwoLearners(config, env), tmp_path)
+    assert int(restored.env_steps) == 3 * 80
+
+
+def test_a_killed_run_of_two_goes_on_from_its_last_checkpoint(tmp_path):
+    config = dataclasses.replace(
+        CONFIG, save_dir=str(tmp_path), log_interval=1, save_interval=2, num_env_steps=50_000
+    )
+    kill_in_training(FakePairEnv(), "coop", config)
+    progress, said = listening()
+    result = coop.train(FakePairEnv(), config, progress)
+    check_continued(result, said, config, updates=79)
+    assert result.last("success") > 0.9
+
+
+@pytest.mark.parametrize(("frozen", "learns"), [("robot", "person"), ("person", "robot")])
+def test_a_frozen_agent_stays_as_it_is_and_the_other_learns(trained, tmp_path, frozen, learns):
+    env, result = trained
+    file = result.folder / {"robot": "policy.npz", "person": "person_policy.npz"}[frozen]
+    config = dataclasses.replace(
+        CONFIG,
+        num_env_steps=30_000,
+        save_dir=str(tmp_path),
+        **{f"{frozen}_policy": str(file), f"freeze_{frozen}": True},
+    )
+    second = coop.train(FakePairEnv(), config)
+    kept = load_policy(tmp_path / env.name / file.name)
+    given = result.policies[frozen]
+    assert same_bytes(kept, given) and kept.info == load_policy(file).info
+    assert same_bytes(second.learner.members[frozen].params.policy, given.weights)
+    assert second.last("success") > 0.9
+    assert {name.split("/")[1] for name in second.curve[0] if name.startswith("loss/")} == {learns}
+    assert int(second.learner.env_steps) == second.env_steps
+
+    other = dataclasses.replace(config, num_env_steps=40_000, **{f"freeze_{frozen}": False})
+    with pytest.raises(CheckpointMismatchError, match=f"{frozen}.frozen_policy is '.*', this run"):
+        coop.train(FakePairEnv(), other)
+
+
+def test_a_frozen_agent_acts_by_its_mode(trained):
+    _, result = trained
+    file = result.folder / "person_policy.npz"
+    config = dataclasses.replace(SMALL, person_policy=str(file), freeze_person=True)
+    algorithm = TwoLearners(config, FakePairEnv())
+    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
+    obs = jax.random.normal(jax.random.PRNGKey(1), (64, 5))
+    action, _, _ = algorithm.act(learner, obs, jax.random.PRNGKey(2))
+    person = result.policies["person"](obs[:, 2:])
+    assert np.allclose(action[:, 1:], person, atol=1e-5)
+
+
+def test_a_robot_can_start_from_what_it_learned_with_a_person_who_holds_still(tmp_path):
+    settings = dataclasses.asdict(SMALL)
+    same = {f.name: settings[f.name] for f in dataclasses.fields(PPOConfig) if f.name in settings}
+    still = ppo.train(
+        FakePairEnv(active=False), PPOConfig(**{**same, "save_dir": str(tmp_path), "lr": 0.01})
+    )
+    config = dataclasses.replace(SMALL, robot_policy=str(still.folder / "policy.npz"))
+    algorithm = TwoLearners(config, FakePairEnv())
+    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
+    robot = learner.members["robot"]
+    assert same_bytes(robot.params.policy, still.policy.weights)
+    assert same_bytes(
+        (robot.normalizer.mean, robot.normalizer.std), (still.policy.mean, still.policy.std)
+    )
+    result = coop.train(FakePairEnv(), config)
+    assert not same_bytes(result.policies["robot"].weights, still.policy.weights)
+
+
+def test_someone_has_to_learn_and_a_frozen_agent_needs_a_policy():
+    with pytest.raises(ConfigError, match=r"--freeze-person keeps .* needs --person-policy FILE"):
+        CoopConfig(freeze_person=True)
+    with pytest.raises(ConfigError, match=r"leaves nobody to learn.*train\.evaluate"):
+        CoopConfig(robot_policy="r", person_policy="p", freeze_robot=True, freeze_person=True)
+
+
+def test_a_person_who_holds_still_is_refused():
+    env = FakePairEnv(active=False)
+    text = r"holds still.*train\.ppo --env-name FakeCarry-v0.*'FakeCarryHuman-v0'"
+    with pytest.raises(ActiveHumanError, match=text):
+        coop.train(env, SMALL)
+    assert env.traces["step"] == 0
+
+
+def test_one_trainer_does_not_continue_a_run_of_the_other(trained, tmp_path):
+    _, result = trained
+    joint = PPOConfig(
+        num_env_steps=80,
+        num_processes=4,
+        save_dir=str(result.folder.parent),
+        allow_joint_observation=True,
+    )
+    with pytest.raises(CheckpointMismatchError, match=r"train\.coop, this is train\.ppo.*--fresh"):
+        ppo.train(FakePairEnv(), joint)
+    assert len(checkpoint_files(result.folder / "checkpoints")) == 3
+    ppo.train(FakePairEnv(), dataclasses.replace(joint, save_dir=str(tmp_path)))
+    with pytest.raises(CheckpointMismatchError, match=r"train\.ppo, this is train\.coop.*--fresh"):
+        coop.train(FakePairEnv(), dataclasses.replace(SMALL, save_dir=str(tmp_path)))
+
+
+def test_ppo_sends_people_who_act_to_this_trainer():
+    with pytest.raises(ActiveHumanError, match=r"python -m train\.coop --env-name FakeCarryHuman"):
+        ppo.train(FakePairEnv(), PPOConfig(save_dir=None))
+
+
+def test_a_real_pair_is_cut_where_the_robot_of_the_still_person_ends(static_env, active_env):
+    agents, alone = parts(active_env), parts(static_env)
+    assert agents["robot"] == alone["robot"] and list(alone) == ["robot"]
+    assert (agents["robot"].sizes, agents["person"].sizes) == ((30, 7), (34, 10))
+    assert agents["person"].observed == slice(30, 64) and agents["person"].acted == slice(7, 17)
+    assert agents["joint"].sizes == (64, 17)
+    assert len({part.layout for part in agents.values()}) == 3
+
+
+def test_the_command_line_trains_two(tmp_path, capsys, restored_settings):
+    words = f"--env-name FakeCarryHuman-v0 --num-env-steps 640 --num-envs 4 --save-dir {tmp_path}"
+    words += " --num-mini-batch 4 --policy-hidden 32 --value-hidden 32 --central-critic"
+    assert coop.main(words.split(), lambda *_: FakePairEnv()) == 0
+    out = capsys.readouterr().out
+    assert "FakeCarryHuman-v0: trained 640 steps" in out and str(tmp_path) in out
+    with pytest.raises(SystemExit):
+        coop.main([*words.split(), "--freeze-robot"], lambda *_: FakePairEnv())
+    assert "--freeze-robot keeps a policy as it is" in capsys.readouterr().err

@@ -1,0 +1,213 @@
+# ruff: noqa: D103 (a test's name says what it shows)
+"""Several devices and several hosts: the same training as on one, in processes with two CPU devices."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+
+import pytest
+from train_runs import start_python
+
+from train.errors import ConfigError
+from train.hosts import join_hosts, parse_hosts
+
+TWO = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+
+# One rollout, learned from whole on one device and in two halves on two devices.
+SAME_UPDATE = """
+import json
+import jax, jax.numpy as jnp, numpy as np
+from jax.sharding import PartitionSpec as P
+from fake_pair_env import FakePairEnv
+from train.algorithm import OneLearner
+from train.configs import CoopConfig, PPOConfig
+from train.rollout import collect, first_worlds
+from train.team import TwoLearners
+from train.updates import AXIS, device_mesh
+
+SETTINGS = dict(num_mini_batch=1, ppo_epoch=3, policy_hidden=(16,), value_hidden=(16,), lr=1e-2,
+                distribution="normal", entropy_coef=0.01)
+env = FakePairEnv()
+algorithms = {
+    "one learner": OneLearner(PPOConfig(**SETTINGS), env),
+    "two learners": TwoLearners(CoopConfig(**SETTINGS), env),
+    "central critic": TwoLearners(CoopConfig(**SETTINGS, central_critic=True), env),
+}
+found = {}
+for name, algorithm in algorithms.items():
+    venv = env.vectorize(8)
+    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
+    worlds = first_worlds(venv, jax.random.PRNGKey(1), True)
+    worlds, batch, _ = jax.jit(lambda worlds: collect(
+        lambda obs, key: algorithm.act(learner, obs, key), venv, worlds, jax.random.PRNGKey(2),
+        num_steps=30, gamma=0.99, reward_scaling=1.0))(worlds)
+    key, total = jax.random.PRNGKey(3), jnp.float32(1000)
+
+    def learn(learner, batch, last, axis=None):
+        return algorithm.learn(learner, batch, last, key, total, axis)
+
+    last = worlds.env_state.obs
+    whole, losses = jax.jit(learn)(learner, batch, last)
+    shared = jax.shard_map(
+        lambda *x: learn(*x, axis=AXIS), mesh=device_mesh(0), check_vma=False,
+        in_specs=(P(), P(None, AXIS), P(AXIS)), out_specs=P())
+    halves, losses_of_two = jax.jit(shared)(learner, batch, last)
+    own_half, _ = jax.jit(learn)(learner, jax.tree.map(lambda x: x[:, :4], batch), last[:4])
+
+    def apart(a, b):
+        pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+        pairs = [(np.asarray(x, float), np.asarray(y, float)) for x, y in pairs]
+        return max(float((np.abs(x - y) / np.maximum(1, np.abs(x))).max()) for x, y in pairs)
+
+    params = lambda state: [x.params for x in getattr(state, "members", {"": state}).values()]
+    found[name] = {
+        "all": apart(whole, halves), "losses": apart(losses, losses_of_two),
+        "moved": apart(params(whole), params(learner)),
+        "half": apart(params(whole), params(own_half)),
+        "steps": int(halves.env_steps),
+    }
+print(json.dumps(found))
+"""
+
+# Training on one and on two devices, with a run that goes on with another number of them.
+TRAINING = """
+import dataclasses, json, sys, tempfile
+import jax
+from fake_pair_env import FakePairEnv
+from train.checkpoint import checkpoint_files
+from train.configs import CoopConfig, PPOConfig
+from train.errors import ConfigError
+from train import coop, ppo
+
+BASE = dict(num_env_steps=60_000, num_processes=32, num_mini_batch=4, policy_hidden=(32,),
+            value_hidden=(32,), lr=2e-3, log_interval=8, save_dir=None)
+config = CoopConfig(**BASE)
+found = {"devices": jax.device_count()}
+for devices in (1, 2):
+    result = coop.train(FakePairEnv(), dataclasses.replace(config, devices=devices))
+    found[f"on {devices}"] = {
+        "success": result.last("success"), "steps": result.env_steps,
+        "episodes": sum(row["episodes"] for row in result.curve),
+        "used": result.config.devices,
+        "here": len(jax.tree.leaves(result.learner)[0].devices()),
+    }
+with tempfile.TemporaryDirectory() as folder:
+    short = dataclasses.replace(config, save_dir=folder, num_env_steps=640 * 8)
+    steps = [coop.train(FakePairEnv(), short).session_steps]
+    for devices, rounds in ((1, 16), (2, 24)):
+        longer = dataclasses.replace(short, num_env_steps=640 * rounds, devices=devices)
+        result = coop.train(FakePairEnv(), longer)
+        steps.append(result.session_steps)
+    found["sessions"], found["rows"] = steps, [row["env_steps"] for row in result.curve]
+single = PPOConfig(**{**BASE, "num_env_steps": 640 * 4})
+found["ppo"] = ppo.train(FakePairEnv(active=False), single).config.devices
+for fields in ({"devices": 3}, {"num_processes": 33}):
+    try:
+        coop.train(FakePairEnv(), dataclasses.replace(config, **fields))
+    except ConfigError as error:
+        found["refused"] = [*found.get("refused", []), str(error)]
+print(json.dumps(found))
+"""
+
+# One of two hosts, each with one device.
+HOST = """
+import json, sys
+import jax
+from fake_pair_env import FakePairEnv
+from train import coop
+words = {words!r}
+made = []
+train = coop.train
+def kept(*arguments):
+    made.append(train(*arguments))
+    return made[0]
+coop.train = kept
+status = coop.main(words, lambda *_: FakePairEnv())
+result = made[0]
+weights = sum(float(abs(x).sum()) for x in jax.tree.leaves(result.learner.members["person"].params))
+print(json.dumps({{"status": status, "hosts": jax.process_count(), "devices": jax.device_count(),
+    "returns": [row["return"] for row in result.curve], "weights": weights, "steps": result.env_steps,
+    "writes": result.folder is not None}}))
+"""
+
+
+def last_line(process: subprocess.Popen) -> dict:
+    """What a process printed last, as JSON."""
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err[-3000:]
+    return json.loads(out.splitlines()[-1])
+
+
+def piped(code: str, **options) -> subprocess.Popen:
+    return start_python(code, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
+
+
+def test_an_update_on_two_devices_is_the_update_on_one():
+    found = last_line(piped(SAME_UPDATE, env=TWO))
+    assert len(found) == 3
+    for name, gaps in found.items():
+        assert gaps["all"] < 2e-4 and gaps["losses"] < 2e-4, (name, gaps)
+        assert gaps["moved"] > 1e-2 and gaps["half"] > 1e-3, (name, gaps)
+        assert gaps["steps"] == 8 * 30
+
+
+def test_training_on_two_devices_is_as_good_as_on_one():
+    found = last_line(piped(TRAINING, env=TWO))
+    assert found["devices"] == 2 and found["ppo"] == 2
+    one, two = found["on 1"], found["on 2"]
+    assert (one["used"], two["used"]) == (1, 2) and two["here"] == 1
+    assert one["success"] > 0.9 and two["success"] > 0.9
+    assert one["steps"] == two["steps"] == 94 * 640
+    assert abs(one["episodes"] - two["episodes"]) <= 32
+    assert found["sessions"] == [640 * 8] * 3  # all devices, then one, then two
+    assert found["rows"] == [640 * 8, 640 * 16, 640 * 24]
+    too_many, odd = found["refused"]
+    assert "--devices 3 were asked for; JAX sees 2 (cpu)" in too_many
+    assert "33 worlds cannot be shared by 2 devices" in odd and "--num-processes 32" in odd
+
+
+def free_port() -> int:
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        return server.getsockname()[1]
+
+
+def test_two_hosts_train_one_policy_and_one_of_them_writes(tmp_path):
+    words = "--env-name FakeCarryHuman-v0 --num-env-steps 10240 --num-envs 32 --lr 3e-3 "
+    words += "--policy-hidden 32 --value-hidden 32 --num-mini-batch 4 --log-interval 4 "
+    words += f"--save-dir {tmp_path} --hosts 127.0.0.1:{free_port()},2,"
+    hosts = [piped(HOST.format(words=f"{words}{i}".split())) for i in (0, 1)]
+    first, second = (last_line(process) for process in hosts)
+    assert first["hosts"] == first["devices"] == 2
+    assert first["status"] == second["status"] == 0 and first["steps"] == 10240
+    assert first["returns"][-1] > first["returns"][0] + 1
+    assert (first["writes"], second["writes"]) == (True, False)
+    same = ("returns", "weights", "steps", "devices")
+    assert [first[name] for name in same] == [second[name] for name in same]
+    assert (tmp_path / "FakeCarryHuman-v0" / "person_policy.npz").is_file()
+
+
+def test_hosts_are_named_by_address_count_and_index():
+    assert parse_hosts("10.0.0.1:8476,2,1") == ("10.0.0.1:8476", 2, 1)
+    assert parse_hosts("[::1]:8476,2,0") == ("[::1]:8476", 2, 0)
+    assert parse_hosts("auto") is None
+    join_hosts(None)
+
+
+@pytest.mark.parametrize(
+    ("hosts", "text"),
+    [
+        ("", "names no machines"),
+        ("10.0.0.1:8476", "names no machines"),
+        ("10.0.0.1,2,0", "names no machines"),
+        (":8476,2,0", "names no machines"),
+        ("10.0.0.1:8476,2,-1", "names no machines"),
+        ("10.0.0.1:8476,2,2", "indices are 0 to 1"),
+        ("10.0.0.1:8476,0,0", "names no machines"),
+    ],
+)
+def test_hosts_that_make_no_sense_are_refused(hosts, text):
+    with pytest.raises(ConfigError, match=rf"{text}.*--hosts auto"):
+        parse_hosts(hosts)

@@ -1,0 +1,56 @@
+"""Train robot and person to help each other: ``python -m train.coop --env-name ScratchItchJacoHuman-v0``.
+
+Co-optimisation as in Assistive Gym: two policies, two observations, one reward, one compiled update.
+Rerunning the same command continues a run that was killed; ``train`` does the same from Python.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from train.configs import CoopConfig
+from train.envs import make_env, refuse_static_human
+from train.progress import Progress
+from train.result import TrainResult
+from train.session import OnLog, command_line, run_session, settle
+from train.team import TwoLearners
+
+
+def train(
+    env: Any,
+    config: CoopConfig,
+    progress: Progress | None = None,
+    on_log: OnLog | None = None,
+) -> TrainResult:
+    """Train two policies, on all devices.
+
+    Args:
+        env: an environment (``agym_jax.make``) in which robot and person act, or a ``StepwiseEnv``.
+        config: settings; ``save_dir=None`` writes no files.
+        progress: is told what happens; None shows nothing.
+        on_log: called as ``on_log(row, policies)`` at each log line, where ``policies()`` makes the
+            present policies by agent; a true result stops the run (its state is saved).
+
+    Returns:
+        Policies by agent, learning curve and times.
+
+    Raises:
+        ActiveHumanError: only the robot acts.
+        PolicyNotFoundError, PolicyEnvironmentError, PolicyLayoutError: of a policy to start from.
+        ConfigError, SaveFolderError, CheckpointMismatchError, BufferOverflowError, DivergedError: as
+            ``train.ppo.train``.
+    """
+    refuse_static_human(env)
+    config, mesh = settle(env, config)
+    return run_session(env, config, TwoLearners(config, env), mesh, progress, on_log)
+
+
+def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
+    """The command line; returns the exit status."""
+    return command_line(CoopConfig, train, arguments, make)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

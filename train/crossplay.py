@@ -1,0 +1,178 @@
+"""Who gets along with whom: ``python -m train.crossplay --env-name ScratchItchJacoHuman-v0 --runs a b c``.
+
+Every robot's policy helps every person's, over the same episodes; with a person who holds still in
+the last column. Pairs of one architecture share a compilation.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import tyro
+
+from agym_jax.errors import AgymError
+from train.acting import BASELINES, Baseline, Pair, load_agent
+from train.configs import Count
+from train.envs import make_env, parts, refuse_static_human, static_name
+from train.errors import ConfigError
+from train.evaluate import EvaluationResult, Evaluator
+from train.npz import check_writable
+from train.policy import FILE_NAMES, Policy, check_policy, find_policy
+from train.record import append_record, record
+
+STILL = "(holds still)"
+Matrix = dict[tuple[str, str], EvaluationResult]
+Named = Mapping[str, Policy | Baseline]
+
+
+@dataclass(frozen=True)
+class CrossplayConfig:
+    """Flags of ``python -m train.crossplay``."""
+
+    env_name: str = "ScratchItchJacoHuman-v0"
+    """Environment id, one whose person acts too."""
+    runs: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR ...")] = ()
+    """--save-dir of runs of train.coop: the robot and the person of each take part."""
+    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE ...")] = ()
+    """Further policies of the robot, of this id or the one with a still person; "zero", "random"."""
+    people: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE ...")] = ()
+    """Further policies of the person; "zero", "random"."""
+    still_person: bool = True
+    """Also let every robot help a person who holds still."""
+    num_episodes: Count = 100
+    """Episodes of each pair, all side by side."""
+    seed: int = 1001
+    """Seed of the episodes, the same for all pairs."""
+    impl: str = "auto"
+    """Physics: "jax", "warp" or "auto"."""
+    json: str | None = None
+    """File to which the result of each pair is added as a JSON line."""
+
+
+def find_files(config: CrossplayConfig) -> tuple[list[str], list[str]]:
+    """Files (or baselines) of the robots and of the people.
+
+    Raises:
+        ConfigError: there is no robot, or nobody to help.
+        PolicyNotFoundError: a file is not there.
+    """
+    plain = config.env_name.rpartition(":")[2]
+    robots, people = (
+        [str(Path(run) / plain / FILE_NAMES[agent]) for run in config.runs] + list(more)
+        for agent, more in (("robot", config.robots), ("person", config.people))
+    )
+    for name in (*robots, *people):
+        if name not in BASELINES:
+            find_policy(plain, None, name)
+    if not robots or not (people or config.still_person):
+        raise ConfigError(
+            "A matrix needs robots and people: --runs DIR ... of train.coop, or --robots FILE ... and "
+            "--people FILE ... (files, zero, random)."
+        )
+    return list(dict.fromkeys(robots)), list(dict.fromkeys(people))
+
+
+def crossplay(
+    env: Any,
+    robots: Named,
+    people: Named,
+    num_episodes: int,
+    seed: int,
+    still_env: Any = None,
+) -> Iterator[tuple[tuple[str, str], EvaluationResult]]:
+    """Let every robot help every person.
+
+    Args:
+        env: where both act.
+        robots: name -> policy.
+        people: name -> policy.
+        num_episodes: of each pair.
+        seed: of the episodes.
+        still_env: the same with a person who holds still; None leaves that column out.
+
+    Yields:
+        (robot, person) and what came of it, as it is found.
+    """
+    key, columns = jax.random.PRNGKey(seed), parts(env)["robot"].observed.stop
+    evaluator = Evaluator(env, num_episodes) if people else None
+    for robot, policy in robots.items():
+        for person, other in people.items():
+            if evaluator:
+                yield (robot, person), evaluator(Pair(policy, other, columns), key)
+    if still_env is not None:
+        evaluator = Evaluator(still_env, num_episodes)
+        for robot, policy in robots.items():
+            yield (robot, STILL), evaluator(policy, key)
+
+
+def table(matrix: Matrix) -> str:
+    """Success and mean return of all pairs; rows are robots, columns people."""
+    robots, people = (list(dict.fromkeys(key[i] for key in matrix)) for i in (0, 1))
+    lines = [f"  R{i:<3}{name}" for i, name in enumerate(robots, 1)]
+    lines += [f"  P{i:<3}{name}" for i, name in enumerate(people, 1)]
+    lines.append("success, and return, of a robot (row) with a person (column):")
+    lines.append("    " + "".join(f"{f'P{i}':>18}" for i in range(1, len(people) + 1)))
+    for i, robot in enumerate(robots, 1):
+        cells = [matrix[robot, person] for person in people]
+        shown = [f"{cell.success:.1%} {cell.returns.mean():9.1f}" for cell in cells]
+        lines.append(f"R{i:<3}" + "".join(f"{text:>18}" for text in shown))
+    return "\n".join(lines)
+
+
+def run(config: CrossplayConfig, make: Callable[[str, str], Any] = make_env) -> Matrix:
+    """Measure what the flags ask for; prints the table.
+
+    Raises:
+        PolicyEnvironmentError, PolicyLayoutError: a policy does not fit; says what would.
+    """
+    if config.json:
+        check_writable(Path(config.json).parent, "Choose another file with --json.")
+    robot_files, people_files = find_files(config)
+    env = make(config.env_name, config.impl)
+    refuse_static_human(env)
+    robots = {name: load_agent(name, env, "robot") for name in robot_files}
+    people = {name: load_agent(name, env, "person") for name in people_files}
+    still = make(static_name(config.env_name), config.impl) if config.still_person else None
+    for name, policy in robots.items():
+        if still and isinstance(policy, Policy):
+            check_policy(policy, still, name)
+    matrix: Matrix = {}
+    for (robot, person), result in crossplay(
+        env, robots, people, config.num_episodes, config.seed, still
+    ):
+        matrix[robot, person] = result
+        if config.json:
+            line = record(
+                "crossplay",
+                robot_policy=robot,
+                person_policy=None if person == STILL else person,
+                seed=config.seed,
+                impl=str(getattr(env, "impl", config.impl)),
+                **result.summary(),
+            )
+            append_record(config.json, line)
+    print(f"{env.name}, {config.num_episodes} episodes a pair\n{table(matrix)}")
+    return matrix
+
+
+def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
+    """The command line; returns the exit status."""
+    config = tyro.cli(CrossplayConfig, prog="python -m train.crossplay", args=arguments)
+    jax.config.update("jax_default_matmul_precision", "highest")
+    try:
+        run(config, make)
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,283 @@
+"""One session of training, whatever is trained: compile, go from log line to log line, save, resume.
+
+The run is compiled once and then goes from log line to log line in single calls, each of many
+updates. A session that finds checkpoints in its folder goes on from there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import signal
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+
+from agym_jax.errors import AgymError
+from train import record
+from train.algorithm import Algorithm
+from train.checkpoint import load_newest, save_checkpoint
+from train.configs import Config, LearnConfig, parse_arguments, resolve, updates_in
+from train.curve import Row, check_row, make_row
+from train.envs import make_env, vectorize
+from train.hosts import check_agreement, join_hosts, wait_for_hosts
+from train.npz import check_writable
+from train.policy import Policy
+from train.progress import Progress, Silent, for_terminal
+from train.result import TrainResult, summary
+from train.rollout import Worlds, first_worlds
+from train.run_folder import RunFolder
+from train.stepwise import StepwiseEnv, start_stepwise
+from train.updates import AXIS, device_mesh, everywhere, here, make_updates, spread
+
+SAVE_PERIOD = 60.0  # seconds after which a checkpoint is due at the next log line
+UNIMPORTANT = ("save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts")
+Policies = Mapping[str, Policy]
+OnLog = Callable[[Row, Callable[[], Policies]], bool | None]
+
+
+def settle(env: Any, config: Config) -> tuple[Config, Mesh | None]:
+    """Settings for an environment and this machine, and the devices if there are several.
+
+    Raises:
+        ConfigError: settings that do not fit together, or the machine.
+    """
+    mesh = None if isinstance(env, StepwiseEnv) else device_mesh(config.devices)
+    config = dataclasses.replace(config, env_name=env.name)
+    return resolve(config, jax.default_backend(), mesh.size if mesh else 1), mesh
+
+
+def run_session(
+    env: Any,
+    config: LearnConfig,
+    algorithm: Algorithm,
+    mesh: Mesh | None = None,
+    progress: Progress | None = None,
+    on_log: OnLog | None = None,
+) -> TrainResult:
+    """Train until the number of steps is reached, or something stops it.
+
+    Args:
+        env: an environment (``agym_jax.make``), or a ``StepwiseEnv``.
+        config: from ``settle``.
+        algorithm: how to learn.
+        mesh: from ``settle``.
+        progress: is told what happens; None shows nothing.
+        on_log: see ``train.ppo.train``; gets policies by agent.
+
+    Returns:
+        Policies, learning curve and times.
+    """
+    speaks = jax.process_index() == 0  # one host writes, and tells
+    progress = (progress if speaks else None) or Silent()
+    folder = RunFolder(config.save_dir, env.name) if config.save_dir is not None else None
+    if folder and speaks and (aside := folder.prepare(config.fresh)):
+        progress.say(f"Starting over; the earlier run is now in {aside}")
+    wait_for_hosts("folder")
+
+    start = time.perf_counter()
+    venv = vectorize(env, config.num_processes // config.devices)
+    key_learner, key_worlds = jax.random.split(jax.random.PRNGKey(config.seed))
+    learner = jax.jit(algorithm.init)(key_learner)
+    belongs = {
+        "trainer": algorithm.trainer,
+        "env": env.name,
+        "layout": env.layout_version,
+        **algorithm.belongs(),
+    }
+    info = {
+        "env": env.name,
+        "commit": record.commit(),
+        "versions": record.versions(),
+        "algorithm": algorithm.trainer,
+    }
+    batch = config.num_processes * config.num_steps
+    total_steps = updates_in(config.num_env_steps, batch) * batch
+    curve: list[Row] = []
+    seconds_before = 0.0
+    if folder and (found := load_newest(folder.checkpoints, learner, belongs)):
+        learner, curve = found.learner, found.meta["curve"]
+        seconds_before = found.meta["seconds"]
+        _say_resumed(progress, found.meta, config, int(learner.env_steps))
+    first_steps = int(learner.env_steps)
+    check_agreement("the step to go on from", first_steps, "They need a common --save-dir.")
+    folder = folder if speaks else None
+    if folder:
+        folder.write_curve(curve)
+        folder.write_config(
+            config,
+            resumed_from_step=first_steps or None,
+            impl=str(getattr(env, "impl", config.impl)),
+        )
+
+    worlds: Any = None
+    run: Any = None
+    if first_steps < total_steps:
+        # A resumed run gets fresh episodes, and other ones than the run before it began with.
+        key_worlds = jax.random.fold_in(key_worlds, first_steps)
+        if isinstance(venv, StepwiseEnv):
+            worlds, run = start_stepwise(venv, config, algorithm, key_worlds)
+        else:
+            learner, worlds, run = _compile(venv, config, algorithm, learner, key_worlds, mesh)
+    else:
+        progress.say("This run is complete; raise --num-env-steps to go on.")
+    compile_seconds = time.perf_counter() - start
+
+    def policies(learner: Any) -> dict[str, Policy]:
+        return algorithm.policies(here(learner), info)
+
+    def save(learner: Any, seconds: float) -> None:
+        if folder:
+            meta = {
+                "belongs": belongs,
+                "curve": curve,
+                "seconds": seconds_before + seconds,
+                "config": dataclasses.asdict(config),
+            }
+            save_checkpoint(folder.checkpoints, learner, meta)
+            folder.save_policies(policies(learner))
+
+    progress.start(first_steps, total_steps)
+    length = np.float32(total_steps)
+    start = last_save = time.perf_counter()
+    env_steps, nan_steps, since_save, interrupted = first_steps, 0, 0, False
+    saved_at = first_steps
+    try:
+        while env_steps < total_steps and not interrupted:
+            count = min(config.log_interval, math.ceil((total_steps - env_steps) / batch))
+            began = time.perf_counter()
+            next_learner, worlds, totals = run(learner, worlds, np.int32(count), length)
+            totals = jax.device_get(totals)
+            now = time.perf_counter()
+            row = make_row(totals, count, count * batch, env.episode_length)
+            nan_steps += int(row["nan"])
+            row |= {
+                "env_steps": env_steps + count * batch,
+                "seconds": seconds_before + now - start,
+                "steps_per_second": count * batch / (now - began),
+                "nan_total": nan_steps,
+            }
+            check_row(row, env.name, config.num_processes)
+            learner, env_steps = next_learner, env_steps + count * batch
+            curve.append(row)
+            if folder:
+                folder.add_row(row)
+            progress.update(row)
+            since_save += count
+            due = since_save >= config.save_interval or now - last_save > SAVE_PERIOD
+            if on_log and on_log(row, lambda kept=learner: policies(kept)):
+                interrupted = env_steps < total_steps
+            if due or interrupted or env_steps >= total_steps:
+                save(learner, now - start)
+                saved_at, since_save, last_save = env_steps, 0, time.perf_counter()
+    except KeyboardInterrupt:
+        interrupted = True
+        if env_steps > saved_at:
+            save(learner, time.perf_counter() - start)
+    finally:
+        progress.stop()
+    train_seconds = time.perf_counter() - start
+    if folder:
+        folder.save_policies(policies(learner))
+        folder.draw(curve, f"{env.name}, {algorithm.trainer}, seed {config.seed}")
+    return TrainResult(
+        policies=policies(learner),
+        learner=here(learner),
+        config=config,
+        curve=curve,
+        env_steps=env_steps,
+        session_steps=env_steps - first_steps,
+        compile_seconds=compile_seconds,
+        train_seconds=train_seconds,
+        nan_steps=nan_steps,
+        interrupted=interrupted,
+        folder=folder.path if folder else None,
+    )
+
+
+def _compile(
+    venv: Any,
+    config: LearnConfig,
+    algorithm: Algorithm,
+    learner: Any,
+    key: jax.Array,
+    mesh: Mesh | None,
+) -> tuple[Any, Worlds, Callable]:
+    """The learner where it belongs, worlds at their start, the compiled function for many updates."""
+
+    def first(key: jax.Array) -> Worlds:
+        return first_worlds(venv, key, config.stagger)
+
+    run = make_updates(venv, config, algorithm, AXIS if mesh else None)
+    if mesh:
+        first, run = spread(mesh, first, run)
+        learner, key = everywhere(mesh, (learner, key))
+    # TF32 hurts small networks; ``command_line`` sets it for all else.
+    with jax.default_matmul_precision("highest"):
+        reset = jax.jit(first).lower(key).compile()
+        worlds = reset(key)
+        run = jax.jit(run).lower(learner, worlds, np.int32(1), np.float32(1)).compile()
+        return learner, jax.block_until_ready(worlds), run
+
+
+def _say_resumed(
+    progress: Progress, meta: Mapping[str, Any], config: LearnConfig, steps: int
+) -> None:
+    """Tell where a run goes on, and which settings differ from before."""
+    progress.say(f"Continuing from step {steps:,} with fresh episodes (--fresh starts over).")
+    ours, theirs = dataclasses.asdict(config), meta.get("config", {})
+    for name, value in ours.items():
+        value = list(value) if isinstance(value, tuple) else value
+        if name not in UNIMPORTANT and name in theirs and theirs[name] != value:
+            progress.say(f"  {name} is now {value!r}; it was {theirs[name]!r}.")
+
+
+def _on_terminate(*_: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def command_line(
+    kind: type[Config],
+    train: Callable[[Any, Config, Progress], TrainResult],
+    arguments: Sequence[str] | None,
+    make: Callable[[str, str], Any] = make_env,
+) -> int:
+    """The command line of a trainer.
+
+    Args:
+        kind: of its settings.
+        train: the trainer: environment, settings and progress -> result.
+        arguments: words; None for those of the program.
+        make: id and physics -> environment.
+
+    Returns:
+        The exit status.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    jax.config.update("jax_default_matmul_precision", "highest")  # TF32 hurts small networks
+    try:
+        config = parse_arguments(words, kind)
+        signal.signal(signal.SIGTERM, _on_terminate)
+        if config.save_dir is not None:  # before the environment is built, which takes seconds
+            check_writable(Path(config.save_dir))
+        join_hosts(config.hosts)
+        env = make(config.env_name, config.impl)
+        result = train(env, config, for_terminal())
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("Stopped before training began.", file=sys.stderr)
+        return 130
+    if jax.process_index() == 0:
+        print(summary(result))
+    if result.interrupted:
+        print("Rerun the same command to continue.")
+        return 130
+    return 0

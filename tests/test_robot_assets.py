@@ -95,6 +95,8 @@ OPENING = {
     "Feeding": {"PR2": 0.03, "Jaco": 1.33, "Baxter": 0.0, "Sawyer": 0.0},
     # 0.025 asked of Baxter and Sawyer, beyond their limit
     "Drinking": {"PR2": 0.45, "Jaco": 0.63, "Baxter": 0.0208, "Sawyer": 0.0208},
+    # AG does not set PR2's and leaves it at 0; here an empty hand is Reaching's
+    "Dressing": {"PR2": 0.03, "Jaco": 1.33, "Baxter": 0.0, "Sawyer": 0.0},
     "ArmManipulation": {"PR2": 0.15, "Jaco": 1.05, "Baxter": 0.01, "Sawyer": 0.01},
     "Reaching": {"PR2": 0.03, "Jaco": 1.33, "Baxter": 0.0, "Sawyer": 0.0},
 }
@@ -117,9 +119,13 @@ TUCKED = {
 }
 # tasks.md sections 2, 3, 7, 8: Euler angles of the steered link at the start
 AHEAD, OVER, UP = (0, np.pi / 2, 0), (0, -np.pi / 2, np.pi), (np.pi / 2, 0, np.pi / 2)
+BACK = (0, -np.pi / 2, 0)
 START = {
     "ScratchItch": {"PR2": (0, 0, 0), "Jaco": AHEAD, "Baxter": AHEAD, "Sawyer": AHEAD},
     "BedBathing": {"PR2": (0, 0, 0), "Jaco": AHEAD, "Baxter": AHEAD, "Sawyer": AHEAD},
+    "Feeding": {"PR2": (np.pi / 2, 0, 0), "Jaco": UP, "Baxter": UP, "Sawyer": UP},
+    "Drinking": {"PR2": (0, 0, 0), "Jaco": AHEAD, "Baxter": OVER, "Sawyer": OVER},
+    "Dressing": {"PR2": (0, 0, np.pi), "Jaco": BACK, "Baxter": BACK, "Sawyer": BACK},
     "ArmManipulation": {"PR2": (0, 0, 0), "Jaco": AHEAD, "Baxter": OVER, "Sawyer": OVER},
     "Reaching": {"PR2": (np.pi / 2, 0, 0), "Jaco": UP, "Baxter": UP, "Sawyer": UP},
 }

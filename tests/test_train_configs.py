@@ -79,7 +79,7 @@ def test_the_environment_on_the_command_line_decides_the_defaults(monkeypatch):
     monkeypatch.setitem(TASK_CHANGES, "Feeding", {"lr": 0.5})
     assert parse_arguments(["--env-name", "FeedingPR2-v0"]).lr == 0.5
     assert parse_arguments(["--env-name=FeedingPR2-v0", "--lr", "0.25"]).lr == 0.25
-    assert parse_arguments(["--env-name", "DressingPR2-v0"]).lr == PPOConfig.lr
+    assert parse_arguments(["--env-name", "MyTaskPR2-v0"]).lr == PPOConfig.lr
     assert env_name_in(["--seed", "1"]) == PPOConfig.env_name
     assert env_name_in(["--env_name", "X"]) == "X"
 

@@ -29,6 +29,7 @@ from agym_jax.errors import ActionError
 from agym_jax.person import draw
 from agym_jax.physics import build_physics, check_traceable, choose_impl
 from agym_jax.placement import load_bank
+from agym_jax.raycast import Marker
 from agym_jax.scene import build_scene, compose, draw_surfaces
 from agym_jax.sense import Motion, Sensed, Touch, at_rest, no_touch, sense
 from agym_jax.spec import Furnished, Pose, RobotSpec, Surface, Surfaced, Task
@@ -320,10 +321,10 @@ class AssistiveEnv:
         """What the task draws besides points; one world's."""
         return self.task.surfaces(state.task) if isinstance(self.task, Surfaced) else []
 
-    def markers(self, state: State) -> list[Any]:
-        """What the task draws into pictures: positions (3,), radii, colours; one world's."""
+    def markers(self, state: State) -> list[Marker]:
+        """What the task draws into pictures; one world's."""
         return [
-            (pos, radius, colour)
+            Marker(pos, radius, colour)
             for places, radius, colour in self.task.markers(state.task)
             for pos in np.atleast_2d(np.asarray(places))
             if np.all(np.isfinite(pos))

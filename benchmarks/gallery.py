@@ -15,7 +15,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 import agym_jax
-from agym_jax.raycast import Marker
 from agym_jax.render import Renderer
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
@@ -34,9 +33,8 @@ def draw(env_name: str, seed: int) -> np.ndarray:
     env = agym_jax.make(env_name, impl="native")
     state = env.reset(jax.random.PRNGKey(seed))
     model, data = env.to_mujoco(state)
-    markers = [Marker(*marker) for marker in env.markers(state)]
     with Renderer(model, 2 * WIDTH, 2 * HEIGHT) as renderer:
-        large = Image.fromarray(renderer.render(data, markers))
+        large = Image.fromarray(renderer.render(data, env.markers(state)))
     return np.asarray(large.resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS))
 
 

@@ -25,7 +25,7 @@ import tyro
 from agym_jax.errors import AgymError
 from train.acting import baseline_policy
 from train.configs import Count, config_for
-from train.enjoy import Frame, caption, markers
+from train.enjoy import Frame, caption
 from train.envs import make_env, vectorize
 from train.evaluate import EvaluationResult
 from train.npz import check_writable
@@ -108,14 +108,14 @@ def make_film(env: Any, frames: Sequence[Frame], out: Path, seconds: float) -> t
         backend = renderer.backend
     size = (480, 360) if backend == "gl" else (320, 240)
     with Renderer(model, *size, backend=backend) as renderer:
-        renderer.render(data, markers(env, frames[0].state))  # the first is slower
+        renderer.render(data, env.markers(frames[0].state))  # the first is slower
         start = time.perf_counter()
-        renderer.render(data, markers(env, frames[0].state))
+        renderer.render(data, env.markers(frames[0].state))
         stride = math.ceil(len(frames) * (time.perf_counter() - start) / seconds)
         chosen, pictures = frames[:: max(2, stride)], []
         for frame in chosen:
             env.write_mujoco(frame.state, data, model)
-            pictures.append(renderer.render(data, markers(env, frame.state)))
+            pictures.append(renderer.render(data, env.markers(frame.state)))
     film = write_clip(pictures, out / "helping.gif", FILM_SPEED / (env.dt * max(2, stride)))
     labels = [caption(frame) for frame in chosen]
     every = math.ceil(len(pictures) / 12)

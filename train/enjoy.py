@@ -123,13 +123,6 @@ def caption(frame: Frame) -> str:
     return f"step {frame.step}  return {frame.total:.1f}  force {frame.force:.1f} N{success}"
 
 
-def markers(env: Any, state: Any) -> list[Any]:
-    """What the task draws into a picture, as ``agym_jax.raycast.Marker``."""
-    from agym_jax.raycast import Marker
-
-    return [m if isinstance(m, Marker) else Marker(*m) for m in env.markers(state)]
-
-
 def film(env: Any, frames: Sequence[Frame], config: EnjoyConfig) -> list[Any]:
     """Pictures of the frames of one episode, uint8 (height, width, 3) each."""
     from agym_jax.render import Renderer
@@ -139,7 +132,7 @@ def film(env: Any, frames: Sequence[Frame], config: EnjoyConfig) -> list[Any]:
     with Renderer(model, *size, config.camera, config.backend) as renderer:
         for frame in frames:
             env.write_mujoco(frame.state, data, model)
-            pictures.append(renderer.render(data, markers(env, frame.state)))
+            pictures.append(renderer.render(data, env.markers(frame.state)))
     return pictures
 
 

@@ -27,7 +27,7 @@ from agym_jax.meshes import check_looks
 from agym_jax.person.draw import People
 from agym_jax.physics import choose_impl
 from agym_jax.registry import parse
-from agym_jax.render import Marker, Renderer
+from agym_jax.render import Renderer
 
 RENDER_MODES = ("rgb_array",)
 
@@ -180,7 +180,7 @@ class GymnasiumEnv(gymnasium.Env):
             self._pictures = Renderer(model, width, height, camera), model, data
         renderer, model, data = self._pictures
         self.core.write_mujoco(state, data, model)
-        return renderer.render(data, [Marker(*marker) for marker in self.core.markers(state)])
+        return renderer.render(data, self.core.markers(state))
 
     def close(self) -> None:
         """Free the renderer; the compiled programs stay for other instances."""

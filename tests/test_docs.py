@@ -108,7 +108,7 @@ def test_ci_runs_the_readmes_test_command():
     pattern = re.search(r"grep -m1 '(.+)' README\.md", script)
     assert pattern
     found = [line for line in commands(README) if re.match(pattern[1], line)]
-    assert len(found) == 1 and found[0].endswith("-m pytest")
+    assert len(found) == 1 and found[0].endswith("-m pytest -n 2 --dist loadfile")
     assert found[0].count(" && ") == 2
 
 

@@ -31,10 +31,13 @@ from agym_jax.tasks.bed_bathing import BedBathing
 from agym_jax.tasks.scratch_itch import ScratchItch
 
 PAIRS = [(task, robot) for task in TASKS for robot in ROBOTS]
-# tasks.md sections 2, 3, 7, 8: where the steered links start, each of them +- 5 cm
+# tasks.md sections 2 to 8: where the steered links start, each of them +- 5 cm
 START = {
     "ScratchItch": ((-0.55, 0.0, 0.8),),
     "BedBathing": ((-0.6, 0.2, 1.0),),
+    "Feeding": ((-0.15, -0.65, 1.15),),  # above the bowl, which is drawn as well
+    "Drinking": ((-0.2, -0.5, 1.0),),
+    "Dressing": ((0.45, -0.47, 1.08),),  # deviation start-before-the-hand
     "ArmManipulation": ((-0.9, 0.7, 0.8), (-0.9, -0.3, 0.8)),
     "Reaching": ((-0.15, -0.4, 1.0),),
 }
@@ -125,14 +128,17 @@ def test_banks_rows_keep_to_limits_and_to_where_bases_may_stand(task: str, robot
         np.testing.assert_allclose(bank.base_pos, [fixed.pos] * n, atol=1e-6)
         np.testing.assert_allclose(bank.base_quat, [fixed.quat] * n, atol=1e-6)
         return
-    # robots.md section 7: up to rho beside the centre, on the person's right; yaw within 30 degrees
+    # robots.md section 7: up to rho beside the centre, on the side of the arm that is helped or of
+    # the hand that feeds; yaw within 30 degrees of facing the same way
     area = machine.base_search(task)
     away = bank.base_pos - np.array(area.centre)
     rho = 0.1 if robot == "Jaco" else 0.5
-    assert (-rho - 1e-5 <= away[:, 0]).all() and (away[:, 0] <= 1e-5).all()
+    outwards = away[:, 0] * (1 if task == "Dressing" else -1)
+    assert (outwards >= -1e-5).all() and (outwards <= rho + 1e-5).all()
     assert (np.abs(away[:, 1]) <= rho + 1e-5).all() and (np.abs(away[:, 2]) < 1e-5).all()
     assert np.abs(bank.base_quat[:, 1:3]).max() < 1e-6
     yaw = 2 * np.arctan2(bank.base_quat[:, 3], bank.base_quat[:, 0])
+    yaw = (yaw - (np.pi if task == "Dressing" else 0.0) + np.pi) % (2 * np.pi) - np.pi
     assert np.abs(yaw).max() <= np.deg2rad(30) + 1e-5
     assert np.ptp(bank.base_pos[:, 1]) > 0.5 * rho and np.ptp(yaw) > 0.3  # not one place only
 
@@ -151,7 +157,8 @@ def test_banks_rows_start_where_assistive_gym_does_and_touch_nothing(task: str, 
         place = row_of(bank, i)
         world.put(place)
         for (pos, rot), start in zip(world.hands(), starts, strict=False):
-            assert np.abs(pos - start).max() < 0.05 + REACHED, i
+            drawn = 0.1 if task == "Feeding" else 0.05
+            assert np.abs(pos - start).max() < drawn + REACHED, i
             assert turned_by(rot, machine.start_rotations[task]) < REACHED_ROTATION, i
         assert clearance.outside(place) > 0 and clearance.inside(place) > 0, i
         if pairs := world.touching():

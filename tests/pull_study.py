@@ -1,13 +1,15 @@
 """Many scripted pulls over the range of people: how often a limb comes through the gown.
 
-    python tests/pull_study.py [pulls] [side by side] [edge of the gown, m]
+    python tests/pull_study.py [pulls] [side by side] [edges of the gown, m ...]
 
-Also the study of resolution: success, force and hang at finer edges.
+With several edges it is the study of resolution: success, force and hang, coarse to fine. Every edge adds a
+line to ``benchmarks/results/pulls.jsonl``.
 """
 
 from __future__ import annotations
 
 import sys
+import time
 
 import jax
 import numpy as np
@@ -16,6 +18,7 @@ from cloth_world import Outcome, draw_pull, pull_on
 from agym_jax.matter.gown import Cut, cut
 from agym_jax.matter.hang import settle
 from agym_jax.matter.weave import weave
+from train.record import RESULTS, append_record, record
 
 STEPS = 560  # of 10 ms, at 0.15 m/s, the slowest
 
@@ -26,17 +29,35 @@ def main(count: int, batch: int, edge: float) -> None:
     spec = weave(gown)
     pull = jax.jit(jax.vmap(lambda key: pull_on(spec, draw_pull(key), STEPS)[0]))
     keys = jax.random.split(jax.random.PRNGKey(0), count)
-    parts = [jax.device_get(pull(keys[i : i + batch])) for i in range(0, count, batch)]
+    start = time.perf_counter()
+    parts = []
+    for i in range(0, count, batch):
+        parts.append(jax.device_get(pull(keys[i : i + batch])))
+        print(
+            f"{min(i + batch, count)} of {count}, {time.perf_counter() - start:.0f} s", flush=True
+        )
     out: Outcome = jax.tree.map(lambda *x: np.concatenate(x), *parts)
-    print(
-        f"{count} pulls, {spec.count} vertices, hangs {-gown.hanging[:, 2].min():.3f} m: "
-        f"through in {np.sum(out.through > 0)}, broken in {np.sum(out.broken)}, best >= 0.4 m in "
-        f"{100 * np.mean(out.best >= 0.4):.1f} %, progress > 0.8 in {100 * np.mean(out.progress > 0.8):.1f} %, "
-        f"greatest force {np.median(out.force):.2f} N (99 %: {np.quantile(out.force, 0.99):.2f}), "
-        f"deepest {1e3 * out.deepest.max():.1f} mm"
+    row = record(
+        "pulls",
+        edge_m=edge,
+        vertices=spec.count,
+        substeps=spec.fabric.substeps,
+        pulls=count,
+        through=int(np.sum(out.through > 0)),
+        broken=int(np.sum(out.broken)),
+        hang_m=float(-gown.hanging[:, 2].min()),
+        beyond_0_4_m=float(np.mean(out.best >= 0.4)),
+        progress_above_0_8=float(np.mean(out.progress > 0.8)),
+        force_median_n=float(np.median(out.force)),
+        force_99_n=float(np.quantile(out.force, 0.99)),
+        deepest_mm=float(1e3 * out.deepest.max()),
+        wall_s=time.perf_counter() - start,
     )
+    append_record(RESULTS / "pulls.jsonl", row)
+    print({k: v for k, v in row.items() if k not in ("versions", "device")})
 
 
 if __name__ == "__main__":
-    words = sys.argv[1:] + ["64", "32", "0.0241"][len(sys.argv) - 1 :]
-    main(int(words[0]), int(words[1]), float(words[2]))
+    pulls, side_by_side, *edges = sys.argv[1:] + ["64", "32"][len(sys.argv) - 1 :]
+    for size in edges or ["0.0241"]:
+        main(int(pulls), int(side_by_side), float(size))

@@ -8,12 +8,14 @@ Vectors are three arrays of coordinates (``shapes.Xyz``).
 
 from __future__ import annotations
 
-import jax
+from functools import partial
+
 import jax.numpy as jnp
 from jax import Array
 from jax.lax import rsqrt
 
-from agym_jax.matter.shapes import TINY, Touching, Xyz, add, dot, scale, sub
+from agym_jax.matter.one_kernel import in_one_kernel
+from agym_jax.matter.shapes import TINY, Touching, Xyz, add, dot, each, scale, sub
 from agym_jax.matter.vessels import Vessel
 
 RECOVERY = 0.05
@@ -68,22 +70,9 @@ def push_pairs(
     Returns:
         where they are then, and their contacts in this sweep.
     """
-    apart, were = _pairs(local), _pairs(old)
-    moved = sub(apart, were)
-    square, square_then = _square(apart), _square(were)
-    inverse = rsqrt(square)
-    clear = _apart(2 * radius, square_then * rsqrt(square_then), h)
-    # a particle overlaps itself: that push is zero, but it counts as a contact
-    depth = jnp.maximum(clear - square * inverse, 0.0)
-    along = dot(moved, apart) * inverse * inverse
-    slid = jnp.maximum(dot(moved, moved) - along * along * square, TINY)
-    weight = 0.5 * jnp.minimum(1.0, crowd / jnp.maximum(contacts, 1.0))
-    both = jnp.minimum(weight[:, None], weight[None])
-    undo = both * jnp.minimum(1.0, friction * depth * rsqrt(slid))
-    push = both * depth * inverse + undo * along
-    touched = (depth > 0).astype(depth.dtype)
-    x, y, z, count = _sums(*sub(scale(push, apart), scale(undo, moved)), touched)
-    return add(local, (x, y, z)), count - 1.0
+    shifts = partial(_pair_shifts, radius, friction, h)
+    x, y, z, count = in_one_kernel(shifts, *local, *old, contacts, crowd)
+    return add(local, (x, y, z)), count
 
 
 def push_vessel(
@@ -113,34 +102,31 @@ def push_vessel(
     return sub(local, scale(undo, slid)), depth > 0
 
 
+def _pair_shifts(
+    radius: float, friction: float, h: float, x: Array, y: Array, z: Array, old_x: Array, old_y: Array,
+    old_z: Array, contacts: Array, crowd: Array,
+) -> tuple[Array, ...]:  # fmt: skip
+    """How far the others push every particle, along x, y and z, and how many do, each (n,)."""
+    apart, were = _pairs((x, y, z)), _pairs((old_x, old_y, old_z))
+    moved = sub(apart, were)
+    square, square_then = _square(apart), _square(were)
+    inverse = rsqrt(square)
+    clear = _apart(2 * radius, square_then * rsqrt(square_then), h)
+    # a particle overlaps itself: that push is zero, but it counts as a contact
+    depth = jnp.maximum(clear - square * inverse, 0.0)
+    along = dot(moved, apart) * inverse * inverse
+    slid = jnp.maximum(dot(moved, moved) - along * along * square, TINY)
+    weight = 0.5 * jnp.minimum(1.0, crowd / jnp.maximum(contacts, 1.0))
+    both = jnp.minimum(weight[:, None], weight[None])
+    undo = both * jnp.minimum(1.0, friction * depth * rsqrt(slid))
+    push = both * depth * inverse + undo * along
+    shift = each(partial(jnp.sum, axis=1), sub(scale(push, apart), scale(undo, moved)))
+    return *shift, jnp.sum((depth > 0).astype(depth.dtype), axis=1) - 1.0
+
+
 def _pairs(a: Xyz) -> Xyz:
     """To every particle (first axis) from every other (second), each (n, n)."""
-    return a[0][:, None] - a[0], a[1][:, None] - a[1], a[2][:, None] - a[2]
-
-
-@jax.custom_jvp
-def _sums(*pairs: Array) -> tuple[Array, ...]:
-    """Sums over the second axis of arrays (n, n), each (n,).
-
-    On a GPU they are one reduction: then no array of pairs is ever written, nor computed once for each.
-    """
-    return jax.lax.platform_dependent(*pairs, cuda=_sums_at_once, default=_sums_by_one)
-
-
-@_sums.defjvp
-def _sums_jvp(pairs: tuple[Array, ...], changes: tuple[Array, ...]) -> tuple:
-    """They are linear."""
-    return _sums(*pairs), _sums_by_one(*changes)
-
-
-def _sums_by_one(*pairs: Array) -> tuple[Array, ...]:
-    return tuple(jnp.sum(x, axis=1) for x in pairs)
-
-
-def _sums_at_once(*pairs: Array) -> tuple[Array, ...]:
-    zeros = (jnp.zeros((), pairs[0].dtype),) * len(pairs)
-    both = lambda a, b: tuple(x + y for x, y in zip(a, b, strict=True))  # noqa: E731
-    return tuple(jax.lax.reduce(pairs, zeros, both, (1,)))
+    return each(lambda x: x[:, None] - x[None], a)
 
 
 def _total(a: Xyz) -> Xyz:

@@ -32,7 +32,7 @@ from agym_jax.placement import load_bank
 from agym_jax.raycast import Marker
 from agym_jax.scene import build_scene, compose, draw_surfaces
 from agym_jax.sense import Motion, Sensed, Touch, at_rest, no_touch, sense
-from agym_jax.spec import Furnished, Pose, RobotSpec, Surface, Surfaced, Task
+from agym_jax.spec import Furnished, Pose, Privileged, RobotSpec, Surface, Surfaced, Task
 from agym_jax.state import Episode, State, select, strong
 
 
@@ -100,6 +100,11 @@ class AssistiveEnv:
     def observation_size(self) -> int:
         """Length of an observation."""
         return sum(self.observation_sizes.values())
+
+    @property
+    def hidden_size(self) -> int:
+        """Length of what ``hidden`` tells."""
+        return self.task.hidden_size if isinstance(self.task, Privileged) else 0
 
     @property
     def layout_version(self) -> str:
@@ -174,6 +179,10 @@ class AssistiveEnv:
             task=judged.task,
             episode=dataclasses.replace(state.episode, person_target=orders.hold, step=judged.step),
         )
+
+    def hidden(self, state: State) -> Array:
+        """What rewards to come depend on and nobody observes, for value functions (hidden_size,)."""
+        return self.task.hidden(state.task) if isinstance(self.task, Privileged) else jnp.zeros(0)
 
     def programs(self) -> tuple[Callable[[Array], State], Callable[[State, Array], State]]:
         """``reset`` and ``step`` of one world, compiled as far as the physics allows."""

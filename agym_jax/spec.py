@@ -325,6 +325,20 @@ class Task(Protocol):
         ...
 
 
+@runtime_checkable
+class Privileged(Protocol):
+    """What a task has besides if rewards to come depend on more than is observed."""
+
+    @property
+    def hidden_size(self) -> int:
+        """Entries of ``hidden``."""
+        ...
+
+    def hidden(self, state: Any) -> jax.Array:
+        """What nobody observes; for value functions, in training only (hidden_size,)."""
+        ...
+
+
 @dataclass(frozen=True)
 class Surface:
     """A triangle mesh to draw, seen from both sides."""

@@ -17,7 +17,8 @@ class VectorEnv:
 
     When an episode ends, ``step`` returns the first observation of the next one in ``obs``, and the
     true last observation in ``info["terminal_obs"]``. ``info["truncation"]`` is 1.0 where the episode
-    ended by its length, as all of Assistive Gym's do, rather than by the NaN guard.
+    ended by its length, as all of Assistive Gym's do, rather than by the NaN guard. ``info["hidden"]`` and
+    ``info["terminal_hidden"]`` tell what the environment's ``hidden`` does of the same two moments.
     """
 
     def __init__(self, env: Any, num_envs: int):
@@ -50,8 +51,14 @@ class VectorEnv:
         one = key.ndim == (0 if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else 1)
         keys = jax.random.split(key, self.num_envs) if one else key
         state = jax.vmap(self.env.reset)(keys)
-        zeros = jnp.zeros(self.num_envs)
-        return state.replace(info={"terminal_obs": state.obs, "truncation": zeros})
+        hidden = jax.vmap(self.env.hidden)(state)
+        info = {
+            "terminal_obs": state.obs,
+            "terminal_hidden": hidden,
+            "hidden": hidden,
+            "truncation": jnp.zeros(self.num_envs),
+        }
+        return state.replace(info=info)
 
     def step(self, state: Any, action: Array) -> Any:
         """One control step of every world.
@@ -75,6 +82,7 @@ class VectorEnv:
         info = {
             **info,
             "terminal_obs": state.obs,
+            "terminal_hidden": jax.vmap(self.env.hidden)(state),
             "truncation": (finished & ~failed).astype(jnp.float32),
         }
         state = jax.lax.cond(
@@ -83,7 +91,7 @@ class VectorEnv:
             lambda s: s,
             state,
         )
-        return state.replace(info=info)
+        return state.replace(info={**info, "hidden": jax.vmap(self.env.hidden)(state)})
 
     def stagger(self, state: Any, key: Array) -> Any:
         """Put the worlds' clocks at random steps, so that episodes do not all end together.

@@ -124,7 +124,7 @@ def pull_on(spec: ClothSpec, pull: Pull, n: int) -> tuple[Outcome, Cloth, Touch,
         held = held_at(spec, before, heading), held_at(spec, after, turned)
         cloth, touch = step(spec, cloth, capsules, capsules, *held, DT)
         points = cloth.pos_w[watched]
-        latched = worn(points, arm).latch(latched)
+        latched = worn(points, arm).after(latched)
         corners = cloth.pos_w[triangles]
         through = sum(crossed(axis[i], axis[i + 1], corners).sum() for i in range(3))
         off = _depth(cloth.pos_w, capsules, spec)

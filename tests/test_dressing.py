@@ -150,10 +150,14 @@ def test_success_at_40_cm_ever(best: float, won: bool):
     assert bool(TASK.success(state)) == won
 
 
-def test_flags_and_the_best_stay():
+def test_the_best_stays_and_the_sleeve_is_remembered_for_a_moment():
     state = replace(start(), on_arm=Worn(jnp.bool_(True), jnp.bool_(False)), best=jnp.float32(0.3))
     after, _ = advance()(state, seen())
-    assert after.on_arm.forearm and np.isclose(after.best, 0.3) and after.dressed < after.best
+    assert after.on_arm.forearm and after.on_arm.unseen == 1
+    assert np.isclose(after.best, 0.3) and after.dressed < after.best
+    long_ago = replace(state, on_arm=replace(state.on_arm, unseen=jnp.int32(5)))
+    after, _ = advance()(long_ago, seen())
+    assert not after.on_arm.forearm and np.isclose(after.best, 0.3)
 
 
 def test_weights_are_assistive_gyms():

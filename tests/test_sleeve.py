@@ -78,8 +78,9 @@ def test_watched_vertices_lie_around_the_opening():
 
 
 def test_on_the_forearm_on_the_upper_arm_or_on_nothing():
-    assert jnp.array([*vars(worn(on_forearm(0.5), MAN)).values()]).tolist() == [True, False]
-    assert jnp.array([*vars(worn(on_upper(0.5), MAN)).values()]).tolist() == [False, True]
+    fore, upper = worn(on_forearm(0.5), MAN), worn(on_upper(0.5), MAN)
+    assert fore.forearm and not fore.upper_arm
+    assert upper.upper_arm and not upper.forearm
     before = worn(on_forearm(-0.3), MAN)
     beside = worn(on_forearm(0.5) + jnp.array([0.2, 0.0, 0.0]), MAN)
     for nothing in (before, beside):
@@ -92,10 +93,19 @@ def test_points_must_lie_on_both_sides_in_both_directions():
     assert not surrounds(points + jnp.array([0.0, 0.0, 0.061]), MAN.hand_end_w, MAN.elbow_end_w)
 
 
-def test_flags_stay_set():
-    now = worn(on_forearm(-0.3), MAN).latch(Worn(YES, NO))
-    assert now.forearm and not now.upper_arm
-    assert worn(on_upper(0.5), MAN).latch(now).upper_arm
+def test_a_sleeve_that_is_on_nothing_is_remembered_for_half_a_second():
+    off, was = worn(on_forearm(-0.3), MAN), Worn(YES, NO)
+    for look in range(8):
+        was = off.after(was)
+        assert bool(was.forearm) == (look < 5) and not was.upper_arm
+    again = worn(on_forearm(0.5), MAN).after(was)
+    assert again.forearm and again.unseen == 0
+
+
+def test_where_it_is_counts_before_where_it_was():
+    # back from the upper arm: AG would go on paying for the upper arm, the more the farther back
+    back = worn(on_forearm(0.5), MAN).after(Worn(NO, YES))
+    assert back.forearm and not back.upper_arm
 
 
 def test_r_dress_is_assistive_gyms():

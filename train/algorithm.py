@@ -7,6 +7,7 @@ The loop (``train.session``), the compiled update (``train.updates``) and the st
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Protocol
 
 import jax
@@ -37,12 +38,21 @@ class Algorithm(Protocol):
         self,
         learner: Any,
         batch: Batch,
-        last_obs: jax.Array,
+        last: jax.Array,
         key: jax.Array,
         total_steps: jax.Array,
         axis: str | None = None,
     ) -> tuple[Any, dict[str, jax.Array]]:
-        """One update; see ``train.learner.learn``."""
+        """One update.
+
+        Args:
+            learner: before it.
+            batch: as collected.
+            last: what ``train.rollout.everything`` tells of the worlds after it    (B, all).
+            key: random key.
+            total_steps: see ``train.learner.learn``.
+            axis: the same.
+        """
 
     def policies(self, learner: Any, info: Mapping[str, Any]) -> dict[str, Policy]:
         """The present policies by agent; ``info`` is what their files tell of the run."""
@@ -64,6 +74,11 @@ def shape_of(arch: Architecture) -> dict[str, Any]:
     return {k: list(v) if isinstance(v, tuple) else v for k, v in kept.items()}
 
 
+def hidden_size(config: LearnConfig, env: Any) -> int:
+    """How much that nobody observes the value functions read."""
+    return getattr(env, "hidden_size", 0) if config.privileged_critic else 0
+
+
 class OneLearner:
     """PPO of one policy that sees and moves all there is.
 
@@ -79,11 +94,13 @@ class OneLearner:
         self.config, self.layout = config, env.layout_version
         self.agent = "joint" if len(env.action_sizes) > 1 else "robot"
         self.arch = architecture(config, env.observation_size, env.action_size)
-        self.networks = make_networks(self.arch)
+        hidden = hidden_size(config, env)
+        self.value_size = env.observation_size + hidden if hidden else None
+        self.networks = make_networks(self.arch, self.value_size)
 
     def init(self, key: jax.Array) -> LearnerState:
         """See ``Algorithm``."""
-        return init_learner(self.config, self.arch, key)
+        return init_learner(self.config, self.arch, key, self.value_size)
 
     def act(
         self, learner: LearnerState, obs: jax.Array, key: jax.Array
@@ -95,13 +112,17 @@ class OneLearner:
         self,
         learner: LearnerState,
         batch: Batch,
-        last_obs: jax.Array,
+        last: jax.Array,
         key: jax.Array,
         total_steps: jax.Array,
         axis: str | None = None,
     ) -> tuple[LearnerState, dict[str, jax.Array]]:
         """See ``Algorithm``."""
-        return learn(learner, batch, last_obs, key, self.config, self.networks, total_steps, axis)
+        if self.value_size is None:
+            seen = slice(0, self.arch.observation_size)
+            batch = replace(batch, value_obs=None, terminal_obs=batch.terminal_obs[..., seen])
+            last = last[..., seen]
+        return learn(learner, batch, last, key, self.config, self.networks, total_steps, axis)
 
     def policies(self, learner: LearnerState, info: Mapping[str, Any]) -> dict[str, Policy]:
         """See ``Algorithm``."""
@@ -110,4 +131,4 @@ class OneLearner:
 
     def belongs(self) -> dict[str, Any]:
         """See ``Algorithm``."""
-        return shape_of(self.arch)
+        return shape_of(self.arch) | {"value_size": self.value_size}

@@ -99,6 +99,9 @@ class LearnConfig:
     """Weight of the value loss (which itself carries another 0.5)."""
     entropy_coef: float = 0.0
     """Weight of the entropy bonus."""
+    privileged_critic: bool = True
+    """Let the value functions, in training only, see what rewards to come depend on and nobody
+    observes, such as how much water is left in the cup. The policies never see it."""
     normalize_observations: bool = True
     """Normalise observations by their running mean and deviation, clipped to 10 deviations."""
     normalize_reward: bool = True

@@ -38,9 +38,23 @@ class Batch:
     discounted: jax.Array  # discounted return of the episode up to this step    (T, B)
     done: jax.Array  # (T, B)
     truncation: jax.Array  # (T, B)
-    terminal_obs: jax.Array  # last observation of an episode, where done    (T, B, observation)
-    value_obs: jax.Array | None = None  # what the value function reads if not obs, which then also
-    # is what terminal_obs has    (T, B, value observation)
+    terminal_obs: (
+        jax.Array
+    )  # as value_obs, last of an episode, where done    (T, B, value observation)
+    value_obs: jax.Array | None = (
+        None  # what the value function reads, if not obs; as collected, the
+    )
+    # observation and then what is hidden    (T, B, value observation)
+
+
+def with_hidden(obs: jax.Array, hidden: jax.Array | None) -> jax.Array:
+    """An observation, and what nobody observes, where the environment tells it (..., both)."""
+    return obs if hidden is None else jnp.concatenate([obs, hidden], -1)
+
+
+def everything(env_state: Any) -> jax.Array:
+    """What a value function could read of the worlds (B, observation + hidden)."""
+    return with_hidden(env_state.obs, env_state.info.get("hidden"))
 
 
 def first_worlds(venv: Any, key: jax.Array, stagger: bool) -> Worlds:
@@ -137,7 +151,8 @@ def account(
         discounted=discounted,
         done=done,
         truncation=after.info["truncation"],
-        terminal_obs=after.info["terminal_obs"],
+        terminal_obs=with_hidden(after.info["terminal_obs"], after.info.get("terminal_hidden")),
+        value_obs=everything(before),
     )
     worlds = replace(
         worlds,

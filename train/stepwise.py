@@ -22,7 +22,7 @@ from train.algorithm import Algorithm
 from train.configs import LearnConfig
 from train.errors import ConfigError
 from train.evaluate import EvaluationResult, add_step, result_of, zero_sums
-from train.rollout import Worlds, account, first_worlds, strong_types, zero_totals
+from train.rollout import Worlds, account, everything, first_worlds, strong_types, zero_totals
 
 
 class StepwiseEnv:
@@ -99,7 +99,7 @@ def start_stepwise(
             learner, losses = improve(
                 replace(learner, key=key),
                 jax.tree.map(lambda *leaves: jnp.stack(leaves), *batches),
-                worlds.env_state.obs,
+                everything(worlds.env_state),
                 key_learn,
                 total_steps,
             )

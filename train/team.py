@@ -1,7 +1,8 @@
 """Two learners: the robot and the person, each with a policy, value, optimiser and statistics.
 
 They share the worlds, the random key's tree and the reward, nothing else. A policy reads its own
-columns of the observation; with a central critic the value functions read all of them, in training.
+columns of the observation. The value functions read, in training, what nobody observes besides, and
+with a central critic the other's columns too.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.types import UInt64
 
-from train.algorithm import policy_of, shape_of
+from train.algorithm import hidden_size, policy_of, shape_of
 from train.checkpoint import tree_to_arrays
 from train.configs import CoopConfig
 from train.envs import Part, parts
@@ -36,7 +37,7 @@ class Agent:
         name: "robot" or "person".
         part: what it sees and moves.
         arch: its networks.
-        value_size: columns that its value function reads, if not its own.
+        judged: columns that its value function reads, of the whole observation and what is hidden.
         start: the policy that it begins with; None = a new one.
         frozen: whether it stays at that.
     """
@@ -44,9 +45,15 @@ class Agent:
     name: str
     part: Part
     arch: Architecture
-    value_size: int | None
+    judged: tuple[int, ...]
     start: Policy | None
     frozen: bool
+
+    @property
+    def value_size(self) -> int | None:
+        """How many columns its value function reads; None if just its own."""
+        own = tuple(range(self.part.observed.start, self.part.observed.stop))
+        return None if self.judged == own else len(self.judged)
 
     @property
     def networks(self) -> Any:
@@ -54,19 +61,20 @@ class Agent:
         return make_networks(self.arch, self.value_size)
 
     def view(self, batch: Batch) -> Batch:
-        """What it learns from: its own columns; with a central critic, all for the value function."""
-        own = replace(
+        """What it learns from: its own columns, and what its value function reads."""
+        all_obs = batch.obs if batch.value_obs is None else batch.value_obs
+        return replace(
             batch,
             obs=batch.obs[..., self.part.observed],
             raw_action=batch.raw_action[..., self.part.acted],
             log_prob=batch.log_prob[self.name],
-            terminal_obs=self.judged(batch.terminal_obs),
+            terminal_obs=self.of(batch.terminal_obs),
+            value_obs=None if self.value_size is None else self.of(all_obs),
         )
-        return own if self.value_size is None else replace(own, value_obs=batch.obs)
 
-    def judged(self, obs: jax.Array) -> jax.Array:
+    def of(self, all_obs: jax.Array) -> jax.Array:
         """The columns that its value function reads."""
-        return obs[..., self.part.observed] if self.value_size is None else obs
+        return all_obs[..., np.array(self.judged)]
 
 
 @jax.tree_util.register_dataclass
@@ -97,8 +105,12 @@ def make_agent(config: CoopConfig, env: Any, name: str) -> Agent:
     start = None if path is None else load_policy(path, env, agent=name)
     if start is not None:
         arch = replace(start.arch, value_hidden=arch.value_hidden)
-    value_size = env.observation_size if config.central_critic else None
-    return Agent(name, part, arch, value_size, start, getattr(config, f"freeze_{name}"))
+    whole, size = range(env.observation_size), env.observation_size
+    judged = (
+        *(whole if config.central_critic else whole[part.observed]),
+        *range(size, size + hidden_size(config, env)),
+    )
+    return Agent(name, part, arch, judged, start, getattr(config, f"freeze_{name}"))
 
 
 def start_from(learner: LearnerState, policy: Policy) -> LearnerState:
@@ -169,7 +181,7 @@ class TwoLearners:
         self,
         learner: TeamState,
         batch: Batch,
-        last_obs: jax.Array,
+        last: jax.Array,
         key: jax.Array,
         total_steps: jax.Array,
         axis: str | None = None,
@@ -185,7 +197,7 @@ class TwoLearners:
             members[agent.name], scalars = learn(
                 member,
                 agent.view(batch),
-                agent.judged(last_obs),
+                agent.of(last),
                 key_agent,
                 self.config,
                 agent.networks,
@@ -209,6 +221,7 @@ class TwoLearners:
         """What a checkpoint must agree in: networks, the critic, and what is frozen."""
         agreed: dict[str, Any] = {"central_critic": self.config.central_critic}
         for agent in self.agents:
+            agreed[f"{agent.name}.value_size"] = agent.value_size
             agreed |= {f"{agent.name}.{k}": v for k, v in shape_of(agent.arch).items()}
             kept = fingerprint(agent.start) if agent.frozen and agent.start else None
             agreed[f"{agent.name}.frozen_policy"] = kept

@@ -19,7 +19,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from train.algorithm import Algorithm
 from train.configs import LearnConfig
 from train.errors import ConfigError
-from train.rollout import Worlds, collect, zero_totals
+from train.rollout import Worlds, collect, everything, zero_totals
 
 AXIS = "worlds"  # of the devices
 Run = Callable[..., tuple[Any, Worlds, dict[str, jax.Array]]]
@@ -65,7 +65,7 @@ def make_updates(
             learner, losses = algorithm.learn(
                 replace(learner, key=key),
                 batch,
-                worlds.env_state.obs,
+                everything(worlds.env_state),
                 key_learn,
                 total_steps,
                 axis,

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-WARPS = 8
-"""Of 32 threads each, that work on one world: 64 x 64 pairs are 16 to a thread."""
+WARPS = 16
+"""Of 32 threads each, that work on one world: 64 x 64 pairs are 8 to a thread."""
 LEAST = 16
 """Fewer entries than this are left to XLA."""
 

@@ -203,6 +203,15 @@ class BedBathing:
         )
         return robot, person
 
+    @property
+    def hidden_size(self) -> int:
+        """Entries of ``hidden``."""
+        return 2
+
+    def hidden(self, state: BathState) -> Array:
+        """Shares of upper arm and forearm that are still to be wiped (hidden_size,)."""
+        return jnp.sum(state.dirty, 1) / jnp.maximum(jnp.sum(state.exists, 1), 1.0)
+
     def success(self, state: BathState) -> Array:
         """Whether 30 % of the points have been wiped ()."""
         total = jnp.sum(state.exists)

@@ -90,7 +90,7 @@ class DressState:
 
     cloth: Cloth
     heading: Array  # of the gown, about world z [rad]                          ()
-    on_arm: sleeve.Worn  # what the sleeve is on or was on
+    on_arm: sleeve.Worn  # what the sleeve is on or was on just now
     dressed: Array  # AG's r_dress, now [m]                                     ()
     best: Array  # the best of it so far [m]                                    ()
     progress: Array  # share of the whole arm that is in the sleeve now         ()
@@ -238,7 +238,7 @@ class Dressing:
     def _judge(self, state: DressState, sensed: Sensed) -> DressState:
         """How far up the arm the opening is."""
         points, arm = state.cloth.pos_w[self.watched], arm_of(sensed)
-        on_arm = sleeve.worn(points, arm).latch(state.on_arm)
+        on_arm = sleeve.worn(points, arm).after(state.on_arm)
         dressed = sleeve.dressed(points, arm, on_arm)
         return replace(
             state,
@@ -281,6 +281,18 @@ class Dressing:
             robot_on_person=s.robot_on_person,
         )
         return robot, person
+
+    @property
+    def hidden_size(self) -> int:
+        """Entries of ``hidden``."""
+        return 7
+
+    def hidden(self, state: DressState) -> Array:
+        """What the sleeve is on, how far, and where its opening is from what is held (hidden_size,)."""
+        on, pos = state.on_arm, state.cloth.pos_w
+        flags = [on.forearm, on.upper_arm, on.unseen / sleeve.REMEMBERED, state.dressed]
+        off = pos[self.watched].mean((0, 1)) - pos[self.spec.garment.anchors].mean(0)
+        return jnp.concatenate([jnp.stack([jnp.asarray(x, jnp.float32) for x in flags]), off])
 
     def success(self, state: DressState) -> Array:
         """Whether the sleeve has been far enough up the arm ()."""

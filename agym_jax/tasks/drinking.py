@@ -164,6 +164,15 @@ class Drinking:
         """What robot and person see."""
         return meals.observe(sensed)
 
+    @property
+    def hidden_size(self) -> int:
+        """Entries of ``hidden``."""
+        return meals.HIDDEN_SIZE
+
+    def hidden(self, state: DrinkState) -> Array:
+        """How much water is left and where (hidden_size,)."""
+        return meals.hidden(state.water, state.drunk, state.mouth_pos_w)
+
     def success(self, state: DrinkState) -> Array:
         """Whether three quarters of the water have been drunk ()."""
         return state.drunk >= self.config.share * self.water.count

@@ -174,6 +174,15 @@ class Feeding:
         """What robot and person see."""
         return meals.observe(sensed)
 
+    @property
+    def hidden_size(self) -> int:
+        """Entries of ``hidden``."""
+        return meals.HIDDEN_SIZE
+
+    def hidden(self, state: FeedState) -> Array:
+        """How much food is left and where (hidden_size,)."""
+        return meals.hidden(state.food, state.eaten, state.mouth_pos_w)
+
     def success(self, state: FeedState) -> Array:
         """Whether three quarters of the food have been eaten ()."""
         return state.eaten >= self.config.share * self.food.count

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from agym_jax.matter.particles import Obstacles
+from agym_jax.matter.particles import Obstacles, Particles
 from agym_jax.matter.shapes import Boxes, Capsules
 from agym_jax.observe import column, observation
 from agym_jax.person.body import HEAD
@@ -146,6 +146,23 @@ def obstacles(sensed: Sensed, vessel: Pose, furniture: Boxes) -> Obstacles:
         furniture=furniture,
         floor=jnp.float32(0.0),
     )
+
+
+HIDDEN_SIZE = 5
+
+
+def hidden(matter: Particles, eaten: Array, mouth_pos_w: Array) -> Array:
+    """What is left and where: what rewards to come depend on and nobody observes (HIDDEN_SIZE,).
+
+    Args:
+        matter: food or water.
+        eaten: how many particles ().
+        mouth_pos_w: now [m] (3,).
+    """
+    left = jnp.sum(matter.alive, dtype=jnp.float32)
+    off = jnp.where(matter.alive[:, None], matter.pos_w - mouth_pos_w, 0.0)
+    shares = jnp.stack([left, eaten]) / len(matter.alive)
+    return jnp.concatenate([shares, off.sum(0) / jnp.maximum(left, 1.0)])
 
 
 def attach(pos_w: Array, quat_w: Array, local: Pose) -> tuple[Array, Array]:

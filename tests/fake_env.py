@@ -56,6 +56,7 @@ class FakeEnv:
     action_sizes: dict[str, int] = field(default_factory=lambda: {"robot": 2})
     overflow: float = 0.0
     nan_at: int = -1
+    hidden_size: int = 0  # 1: value functions may see the clock
     traces: dict[str, int] = field(default_factory=lambda: {"reset": 0, "step": 0})
 
     observation_size = 4
@@ -155,8 +156,17 @@ class FakeVectorEnv:
     def reset(self, key: jax.Array) -> FakeState:
         """First states."""
         state = jax.vmap(self.env.reset)(jax.random.split(key, self.num_envs))
-        info = {"truncation": jnp.zeros(self.num_envs), "terminal_obs": state.obs}
-        return state.replace(info=info)
+        return state.replace(info=self._info(state, state, jnp.zeros(self.num_envs)))
+
+    def _info(
+        self, state: FakeState, last: FakeState, truncation: jax.Array
+    ) -> dict[str, jax.Array]:
+        """What the worlds tell besides; of a clock only if it is hidden from the policies."""
+        info = {"truncation": truncation, "terminal_obs": last.obs}
+        if not self.env.hidden_size:
+            return info
+        clock = lambda s: s.time[:, None] / self.env.episode_length  # noqa: E731
+        return info | {"hidden": clock(state), "terminal_hidden": clock(last)}
 
     def stagger(self, state: FakeState, key: jax.Array) -> FakeState:
         """Spread the worlds over the phases of an episode."""
@@ -176,4 +186,4 @@ class FakeVectorEnv:
         ended_by_time = (after.done > 0) & (after.metrics["nan"] == 0)
         truncation = jnp.where(ended_by_time, 1.0, 0.0)  # weakly typed, as an environment's may be
         state = jax.tree.map(choose, first, after).replace(**kept)
-        return state.replace(info={"truncation": truncation, "terminal_obs": after.obs})
+        return state.replace(info=self._info(state, after, truncation))

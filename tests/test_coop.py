@@ -22,7 +22,7 @@ from train.errors import ActiveHumanError, CheckpointMismatchError, ConfigError
 from train.evaluate import Evaluator
 from train.policy import load_policy
 from train.result import summary
-from train.rollout import collect, first_worlds
+from train.rollout import collect, everything, first_worlds
 from train.team import TwoLearners
 
 CONFIG = CoopConfig(
@@ -64,7 +64,7 @@ def updated(config, env=None):
             reward_scaling=1.0,
         )
     )(worlds, jax.random.PRNGKey(2))
-    return algorithm, learner, batch, worlds.env_state.obs
+    return algorithm, learner, batch, everything(worlds.env_state)
 
 
 def with_other_weights(learner, agent):
@@ -154,7 +154,7 @@ def test_a_central_critic_reads_both_and_a_policy_never_does():
         assert member.value_normalizer.mean.shape == (5,)
         assert member.normalizer.mean.shape == (agent.part.sizes[0],)
         value = agent.networks.value_network.apply
-        seen = agent.judged(batch.obs)
+        seen = agent.of(batch.obs)
         assert seen.shape[-1] == 5
         moved = value(member.value_normalizer, member.params.value, seen + 1.0)
         assert not np.allclose(moved, value(member.value_normalizer, member.params.value, seen))
@@ -165,6 +165,42 @@ def test_a_central_critic_reads_both_and_a_policy_never_does():
     assert np.allclose(statistics.mean, batch.obs.mean((0, 1)), atol=1e-5)
     run = coop.train(FakePairEnv(), dataclasses.replace(SMALL, central_critic=True))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(run.learner.members))
+
+
+@CRITICS
+def test_value_functions_read_what_is_hidden_and_policies_never_do(central):
+    env = FakePairEnv(hidden_size=1)
+    config = dataclasses.replace(SMALL, central_critic=central)
+    algorithm, learner, batch, last = updated(config, env)
+    assert batch.value_obs.shape[-1] == last.shape[-1] == 6
+    after, _ = jax.jit(algorithm.learn)(
+        learner, batch, last, jax.random.PRNGKey(3), jnp.float32(800)
+    )
+    for agent in algorithm.agents:
+        member, own = after.members[agent.name], agent.part.sizes[0]
+        assert member.normalizer.mean.shape == (own,)
+        assert member.value_normalizer.mean.shape == (6 if central else own + 1,)
+        clock = batch.value_obs[..., -1]
+        assert np.isclose(member.value_normalizer.mean[-1], clock.mean(), atol=1e-5)
+        view = agent.view(batch)
+        assert view.obs.shape[-1] == own and np.array_equal(view.value_obs[..., -1], clock)
+        ended = batch.done > 0
+        assert (view.terminal_obs[..., -1][ended] == 1.0).all() and (clock < 1.0).all()
+    blind = TwoLearners(dataclasses.replace(config, privileged_critic=False), env)
+    assert [agent.value_size for agent in blind.agents] == ([5, 5] if central else [None, None])
+    run = coop.train(env, dataclasses.replace(config, privileged_critic=False))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(run.learner.members))
+
+
+def test_one_learner_reads_what_is_hidden_too():
+    env = FakePairEnv(active=False, hidden_size=1)
+    config = PPOConfig(**{k: getattr(SMALL, k) for k in ("num_processes", "num_mini_batch")})
+    config = dataclasses.replace(config, num_env_steps=80, save_dir=None)
+    run = ppo.train(env, config)
+    assert run.learner.value_normalizer.mean.shape == (3,) and run.policy.mean.shape == (2,)
+    plain = ppo.train(env, dataclasses.replace(config, privileged_critic=False))
+    assert plain.learner.value_normalizer is None
+    assert not same_bytes(plain.learner.params.policy, run.learner.params.policy)
 
 
 @CRITICS

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -11,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from agym_jax.matter.one_kernel import kernel, sum_over_others
 from agym_jax.matter.particles import Contact, Obstacles, Particles, ParticleSpec, advance, step
-from agym_jax.matter.pushes import CALM, push_pairs, push_vessel
+from agym_jax.matter.pushes import CALM, _pair_shifts, push_pairs, push_vessel
 from agym_jax.matter.shapes import Boxes, Capsules, columns
 from agym_jax.matter.vessels import CUP, SPOON
 
@@ -322,6 +324,23 @@ def test_the_same_again_bit_for_bit(run: Any) -> None:
     for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
         np.testing.assert_array_equal(a, b)
         np.testing.assert_array_equal(a, np.repeat(np.asarray(a)[:1], WORLDS, axis=0))
+
+
+def test_sums_over_pairs_are_the_same_in_one_kernel() -> None:
+    """As on a GPU, step by step here; and on a GPU it is what runs."""
+    rng = np.random.default_rng(3)
+    drops = rng.uniform(-0.02, 0.02, (6, 5, 64)).astype(np.float32)
+    drops[3:] = drops[:3] + 1e-3 * drops[3:]
+    contacts = rng.integers(0, 6, (1, 5, 64)).astype(np.float32)
+    inputs = *np.concatenate([drops, contacts]), np.full(5, CALM, np.float32)
+    function = partial(_pair_shifts, R, MU, DT)
+    whole = jax.vmap(partial(kernel, function, interpret=True))(*inputs)
+    plain = jax.jit(jax.vmap(partial(sum_over_others, function)))
+    for a, b in zip(whole, plain(*inputs), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-7)
+    assert np.abs(whole[0]).max() > 1e-4 and whole[3].max() > 1.0  # they do push each other
+    for_gpu = plain.trace(*inputs).lower(lowering_platforms=("cuda",)).as_text()
+    assert "triton" in for_gpu and "triton" not in plain.lower(*inputs).as_text()
 
 
 def test_gradients_are_finite() -> None:

@@ -8,13 +8,14 @@ Vectors are three arrays of coordinates (``shapes.Xyz``).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import jax.numpy as jnp
 from jax import Array
 from jax.lax import rsqrt
 
-from agym_jax.matter.one_kernel import in_one_kernel
+from agym_jax.matter.one_kernel import sum_over_others
 from agym_jax.matter.shapes import TINY, Touching, Xyz, add, dot, each, scale, sub
 from agym_jax.matter.vessels import Vessel
 
@@ -71,8 +72,8 @@ def push_pairs(
         where they are then, and their contacts in this sweep.
     """
     shifts = partial(_pair_shifts, radius, friction, h)
-    x, y, z, count = in_one_kernel(shifts, *local, *old, contacts, crowd)
-    return add(local, (x, y, z)), count
+    x, y, z, touched = sum_over_others(shifts, *local, *old, contacts, crowd)
+    return add(local, (x, y, z)), touched - 1.0
 
 
 def push_vessel(
@@ -103,11 +104,15 @@ def push_vessel(
 
 
 def _pair_shifts(
-    radius: float, friction: float, h: float, x: Array, y: Array, z: Array, old_x: Array, old_y: Array,
-    old_z: Array, contacts: Array, crowd: Array,
-) -> tuple[Array, ...]:  # fmt: skip
-    """How far the others push every particle, along x, y and z, and how many do, each (n,)."""
-    apart, were = _pairs((x, y, z)), _pairs((old_x, old_y, old_z))
+    radius: float, friction: float, h: float, some: Sequence[Array], others: Sequence[Array]
+) -> tuple[Array, ...]:
+    """How far each of the others pushes each of some particles, along x, y and z, and whether it does (s, o).
+
+    Both are described as in ``push_pairs``: local, old, contacts, crowd.
+    """
+    (x, y, z, *then, contacts, crowd), (a, b, c, *then_of, contacts_of, _) = some, others
+    apart = _from_to((x, y, z), (a, b, c))
+    were = _from_to((then[0], then[1], then[2]), (then_of[0], then_of[1], then_of[2]))
     moved = sub(apart, were)
     square, square_then = _square(apart), _square(were)
     inverse = rsqrt(square)
@@ -116,17 +121,18 @@ def _pair_shifts(
     depth = jnp.maximum(clear - square * inverse, 0.0)
     along = dot(moved, apart) * inverse * inverse
     slid = jnp.maximum(dot(moved, moved) - along * along * square, TINY)
-    weight = 0.5 * jnp.minimum(1.0, crowd / jnp.maximum(contacts, 1.0))
-    both = jnp.minimum(weight[:, None], weight[None])
+    weight, weight_of = (
+        0.5 * jnp.minimum(1.0, crowd / jnp.maximum(x, 1.0)) for x in (contacts, contacts_of)
+    )
+    both = jnp.minimum(weight[:, None], weight_of[None])
     undo = both * jnp.minimum(1.0, friction * depth * rsqrt(slid))
     push = both * depth * inverse + undo * along
-    shift = each(partial(jnp.sum, axis=1), sub(scale(push, apart), scale(undo, moved)))
-    return *shift, jnp.sum((depth > 0).astype(depth.dtype), axis=1) - 1.0
+    return *sub(scale(push, apart), scale(undo, moved)), (depth > 0).astype(depth.dtype)
 
 
-def _pairs(a: Xyz) -> Xyz:
-    """To every particle (first axis) from every other (second), each (n, n)."""
-    return each(lambda x: x[:, None] - x[None], a)
+def _from_to(a: Xyz, b: Xyz) -> Xyz:
+    """To each of a (first axis) from each of b (second)."""
+    return each(lambda x, y: x[:, None] - y[None], a, b)
 
 
 def _total(a: Xyz) -> Xyz:

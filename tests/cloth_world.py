@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import jax
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from agym_jax.matter.cloth import Cloth, Touch, initial, step
+from agym_jax.matter.cloth import Cloth, Touch, give_way, initial, step
 from agym_jax.matter.garment import Garment
 from agym_jax.matter.shapes import Capsules, no_capsules
 from agym_jax.matter.sleeve import Arm, crossed, dressed, progress, watched_vertices, worn
@@ -70,6 +71,7 @@ class Outcome:
     through: Array  # most triangles that the arm's axis went through       () int32
     deepest: Array  # most that a vertex sank into the arm's surface [m]    ()
     force: Array  # greatest sum of force sizes on the arm [N]              ()
+    slid: Array  # most that the gown slid through the fingers [m]          ()
     broken: Array  # () bool
 
 
@@ -96,33 +98,50 @@ def arm_of(pull: Pull) -> tuple[Arm, Capsules]:
     return arm, Capsules(a, b, radii)
 
 
-def path_of(pull: Pull, arm: Arm, n: int) -> Array:
-    """Where the hand is at n moments [m] (n, 3): from before the tip of the hand to the shoulder."""
+def before_hand(arm: Arm) -> Array:
+    """Where a pull begins, but for its height [m] (3,)."""
     fore = (arm.elbow_w - arm.wrist_w) / jnp.linalg.norm(arm.elbow_w - arm.wrist_w)
-    way = jnp.stack(
-        [arm.hand_end_w - 0.12 * fore, arm.elbow_w, 0.1 * arm.elbow_w + 0.9 * arm.shoulder_w]
-    )
-    first, second = jnp.linalg.norm(jnp.diff(way, axis=0), axis=1)
-    done = jnp.arange(n)[:, None] * DT * pull.speed
-    pos = way[0] + jnp.clip(done / first, 0.0, 1.0) * (way[1] - way[0])
-    pos = pos + jnp.clip((done - first) / second, 0.0, 1.0) * (way[2] - way[1])
+    return arm.hand_end_w - 0.12 * fore
+
+
+def up_the_arm(arm: Arm) -> Array:
+    """Places that a good pull passes, but for its height [m] (3, 3)."""
+    return jnp.stack([before_hand(arm), arm.elbow_w, 0.1 * arm.elbow_w + 0.9 * arm.shoulder_w])
+
+
+def path_of(pull: Pull, places: Array, n: int) -> Array:
+    """Where the hand is at n moments [m] (n, 3), straight from place to place (p, 3)."""
+    lengths = jnp.linalg.norm(jnp.diff(places, axis=0), axis=1)
+    way = jnp.concatenate([jnp.zeros(1), jnp.cumsum(lengths)])
+    done = jnp.arange(n) * DT * pull.speed
+    pos = jnp.stack([jnp.interp(done, way, x) for x in places.T], -1)
     return pos + pull.miss_w + ABOVE * UP
 
 
-def pull_on(spec: ClothSpec, pull: Pull, n: int) -> tuple[Outcome, Cloth, Touch, Array]:
-    """Pull the gown onto the arm in n physics steps: outcome, cloth and touch at the end, and all positions."""
+def pull_on(
+    spec: ClothSpec, pull: Pull, n: int, through: Callable[[Arm], Array] = up_the_arm
+) -> tuple[Outcome, Cloth, Touch, Array]:
+    """Pull the gown in n physics steps: outcome, cloth and touch at the end, and all positions.
+
+    Args:
+        spec: of the gown.
+        pull: its person, speed and so on.
+        n: physics steps.
+        through: places that the hand passes, of the arm (p, 3) [m].
+    """
     arm, capsules = arm_of(pull)
-    pos = path_of(pull, arm, n + 1)
+    pos = path_of(pull, through(arm), n + 1)
     watched = watched_vertices(spec.garment)
     triangles = spec.garment.triangles
     axis = jnp.stack([arm.shoulder_w, arm.elbow_w, arm.wrist_w, capsules.a_w[2]])
 
     def one(carry: tuple, now: tuple) -> tuple[tuple, Array]:
-        cloth, heading, latched, out = carry
+        cloth, heading, slid, latched, out = carry
         before, after = now
         turned = swivel(heading, after - before)
-        held = held_at(spec, before, heading), held_at(spec, after, turned)
+        held = held_at(spec, before + slid, heading), held_at(spec, after + slid, turned)
         cloth, touch = step(spec, cloth, capsules, capsules, *held, DT)
+        slid = give_way(slid, touch, DT)
         points = cloth.pos_w[watched]
         latched = worn(points, arm).after(latched)
         corners = cloth.pos_w[triangles]
@@ -137,16 +156,17 @@ def pull_on(spec: ClothSpec, pull: Pull, n: int) -> tuple[Outcome, Cloth, Touch,
             through=jnp.maximum(out.through, through.astype(jnp.int32)),
             deepest=jnp.maximum(out.deepest, off),
             force=jnp.maximum(out.force, touch.total.sum()),
+            slid=jnp.maximum(out.slid, jnp.linalg.norm(slid)),
             broken=out.broken | touch.broken,
         )
-        return (cloth, turned, latched, out), (cloth.pos_w, touch)
+        return (cloth, turned, slid, latched, out), (cloth.pos_w, touch)
 
     zero = jnp.float32(0.0)
-    out = Outcome(zero, zero, jnp.float32(-9.0), jnp.int32(0), zero, zero, jnp.array(False))
+    out = Outcome(zero, zero, jnp.float32(-9.0), jnp.int32(0), zero, zero, zero, jnp.array(False))
     cloth = initial(spec, pos[0] - BELOW_HAND * UP)
     nothing = worn(cloth.pos_w[watched] + 99.0, arm)
-    carry = (cloth, jnp.float32(0.0), nothing, out)
-    (cloth, _, _, out), (seen, touch) = jax.lax.scan(one, carry, (pos[:-1], pos[1:]))
+    carry = (cloth, jnp.float32(0.0), jnp.zeros(3), nothing, out)
+    (cloth, *_, out), (seen, touch) = jax.lax.scan(one, carry, (pos[:-1], pos[1:]))
     return out, cloth, jax.tree.map(lambda x: x[-1], touch), seen
 
 

@@ -12,7 +12,17 @@ import pytest
 from cloth_world import DT, NOTHING, sheet
 from scipy.optimize import brentq
 
-from agym_jax.matter.cloth import Cloth, anchor_positions, initial, step
+from agym_jax.matter.cloth import (
+    GATHERS,
+    HELD,
+    SLIDES,
+    Cloth,
+    Touch,
+    anchor_positions,
+    give_way,
+    initial,
+    step,
+)  # fmt: skip
 from agym_jax.matter.garment import load
 from agym_jax.matter.shapes import Capsules
 from agym_jax.matter.weave import ClothSpec, Fabric, weave
@@ -117,6 +127,44 @@ def test_a_slow_pull_presses_with_friction_times_weight(friction: float, density
     np.testing.assert_allclose(felt[0] / -felt[2], friction, rtol=0.15)
 
 
+def test_the_anchors_feel_what_hangs_and_what_rubs():
+    spec = weave(sheet(0.3, 0.4, 0.025))
+    states, touch = run(spec, initial(spec, jnp.zeros(3)), 300)
+    weight = spec.mass[spec.held < 0].sum() * G
+    np.testing.assert_allclose(touch.grip_w[-100:].mean(0), [0.0, 0.0, weight], atol=0.02 * weight)
+    edges = spec.edges
+    rows, ids = np.nonzero(edges.active > 0)
+    long = np.linalg.norm(
+        states.pos_w[-1][edges.partner[rows, ids]] - states.pos_w[-1][ids], axis=-1
+    )
+    np.testing.assert_allclose(touch.stretch[-1], (long / edges.rest[rows, ids]).max(), rtol=1e-4)
+    garment = sheet(0.3, 0.2, 0.025)
+    garment = replace(garment, anchors=np.flatnonzero(garment.vertices[:, 0] > 0.299))
+    spec = weave(garment, Fabric(friction=0.3))
+    start = lying(spec, 0.008)
+    _, touch = run(spec, start, 200, table(), np.asarray(start.pos_w)[garment.anchors], (0.1, 0, 0))
+    np.testing.assert_allclose(
+        touch.grip_w[-100:, 0].mean(), touch.net_w[-100:, 0, 0].mean(), rtol=0.05
+    )
+
+
+def test_cloth_slides_through_fingers_while_it_is_stretched():
+    def after(slid, stretch, grip):
+        nothing = jnp.zeros((0, 3)), jnp.zeros(0)
+        felt = Touch(*nothing, jnp.array(grip), jnp.float32(stretch), jnp.array(False))
+        return give_way(jnp.array(slid), felt, DT)
+
+    up = (0.0, 0.0, 2.0)  # the hand pulls upwards, so the cloth slides downwards
+    np.testing.assert_allclose(
+        after((0.0, 0.0, 0.0), HELD + 0.1, up), [0, 0, -SLIDES * 0.1 * DT], rtol=1e-4
+    )
+    np.testing.assert_allclose(after((0.0, 0.0, 0.0), 1.2, up), 0.0, atol=1e-9)
+    back = 0.1 - GATHERS * (HELD - 1.3) * DT
+    np.testing.assert_allclose(after((0.1, 0.0, 0.0), 1.3, up), [back, 0.0, 0.0], rtol=1e-4)
+    np.testing.assert_allclose(after((1e-4, 0.0, 0.0), 1.0, up), 0.0, atol=1e-9)
+    assert np.isfinite(after((0.0, 0.0, 0.0), 9.0, (0.0, 0.0, 0.0))).all()
+
+
 def test_energy_does_not_grow():
     spec = weave(sheet(0.3, 0.4, 0.025), Fabric(damping=0.0))
     v = spec.garment.vertices
@@ -177,6 +225,6 @@ def test_cloth_that_blows_up_is_put_back_and_said():
     one = jax.jit(lambda c: step(spec, c, table(), table(), anchors, anchors, DT))
     after, touch = one(wild)
     assert touch.broken and np.isfinite(after.pos_w).all() and not after.vel_w.any()
-    assert not touch.total.any() and not touch.net_w.any()
+    assert not touch.total.any() and not touch.net_w.any() and not touch.grip_w.any()
     _, touch = one(cloth)
     assert not touch.broken

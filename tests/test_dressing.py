@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cloth_world import draw_pull, pull_on
+from cloth_world import Pull, before_hand, draw_pull, pull_on
 from meal_world import CHEST, FAR, TORSO, arrays, sensed
 
 from agym_jax import observe
@@ -86,7 +86,7 @@ def test_it_begins_hanging_before_the_hand_and_dressing_nobody():
 def test_at_rest_nothing_happens():
     after, events = advance()(start(), seen())
     assert events == {} and np.abs(after.cloth.pos_w - start().cloth.pos_w).max() < 0.01
-    assert not after.force.any() and after.heading == 0
+    assert not after.force.any() and after.heading == 0 and not after.slid.any()
     np.testing.assert_allclose(after.dressed, start().dressed, atol=0.01)
 
 
@@ -219,3 +219,40 @@ def test_pulls_dress_people_of_all_sizes_and_no_limb_passes_through():
     assert (out.through == 0).all() and not out.broken.any()
     assert (out.best > 0.4).all() and (out.progress > 0.85).all()
     assert (out.deepest < 0.012).all() and (out.force < 20.0).all() and (out.force > 0.1).all()
+    assert (out.slid < 0.005).all()  # the grip holds
+
+
+CAUGHT = {
+    "the sleeve is on the forearm, and is lifted": lambda a: (
+        [before_hand(a), 0.5 * (a.wrist_w + a.elbow_w), 0.5 * (a.wrist_w + a.elbow_w) + jnp.array([0, 0, 0.4])]
+    ),
+    "it hangs outside the elbow, and is pulled on": lambda a: (
+        [before_hand(a), before_hand(a) + jnp.array([0.2, 0, 0]), a.elbow_w + jnp.array([0.2, 0, 0]),
+         0.1 * a.elbow_w + 0.9 * a.shoulder_w]
+    ),
+    "its edge catches on the fingers, and is pulled on": lambda a: (
+        [before_hand(a) + jnp.array([0.1, 0, 0]), a.elbow_w + jnp.array([0.1, 0, 0]),
+         0.1 * a.elbow_w + 0.9 * a.shoulder_w]
+    ),
+}  # fmt: skip
+"""Places of the hand that pull a gown through a limb, if the grip never gives way."""
+
+
+@pytest.mark.parametrize("how", CAUGHT)
+def test_a_gown_that_is_caught_slides_through_the_fingers_not_through_the_limb(how: str):
+    one, slow = jnp.float32(1.0), jnp.float32(0.3)
+    pull = Pull(one, one, jnp.zeros(3), slow, jnp.float32(np.pi / 2))
+    out = jax.jit(lambda p: pull_on(TASK.spec, p, 420, lambda a: jnp.stack(CAUGHT[how](a)))[0])(
+        pull
+    )
+    assert out.through == 0 and not out.broken
+    assert out.slid > 0.1  # it would have gone through
+
+
+def test_the_hand_and_what_it_holds_part_while_the_gown_is_caught():
+    state = replace(start(), slid=jnp.array([0.05, 0.0, 0.0]))
+    after, _ = advance()(state, seen())
+    assert 0.0 < after.slid[0] < 0.05 and not after.slid[1:].any()  # it is gathered in again
+    held = after.cloth.pos_w[TASK.spec.garment.anchors].mean(0)
+    expected = np.array(START) - [0, 0, BELOW_HAND] + after.slid
+    np.testing.assert_allclose(held, expected, atol=0.006)

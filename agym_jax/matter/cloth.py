@@ -6,14 +6,17 @@ the edges are relaxed colour by colour, each wholly; at last vertices are put ou
 friction. Velocities follow from positions, so collisions are inelastic, and the impulses of the last part are
 exactly what the solids feel: impulse over time is the force [N].
 
-Anchors are where the gripper carries them; they pull and feel nothing. Tethers are limits: no vertex is farther
-from its nearest anchor than the way along the cloth. They carry the weight of what hangs, which single sweeps
-would take long to hand up to the gripper.
+Anchors are where the gripper carries them, or behind it where the cloth slides through its fingers (``give_way``):
+between two vertices whose edge is stretched to several times its length a limb would come through. Tethers are
+limits: no vertex is farther from its nearest anchor than the way along the cloth. They carry the weight of what
+hangs, which single sweeps would take long to hand up to the gripper.
 
 Nothing is scattered, and between two gathers everything belongs to one vertex: XLA makes one kernel of each
 colour, and the last one does the contacts too.
 
 DEVIATION(no-self-contact): cloth does not touch itself, as AG's does not. Bending keeps the sleeve open.
+DEVIATION(grip-slips): a gown that is caught slides through the fingers instead of being pulled through the limb;
+when it comes free they gather it in. AG's anchors never give way.
 DEVIATION(gripper-feels-nothing): anchors do not push back on the robot: the gown weighs 80 g.
 """
 
@@ -35,6 +38,10 @@ HEALING = 0.2
 """Share of an old overlap with a solid that heals in a substep: by displacement, without speed or force."""
 RELAXED = 1.0
 """Bound on the share of a vertex's bending errors that one substep undoes; above 4/3 they could grow."""
+HELD = 1.8
+"""Fingers hold cloth until its most stretched edge is so many times as long as at rest."""
+SLIDES, GATHERS = 3.0, 0.5
+"""How fast cloth slides through fingers, or is gathered in again, for every unit of stretch, one at most, more or less [m/s]."""
 
 
 @jax.tree_util.register_dataclass
@@ -49,10 +56,12 @@ class Cloth:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Touch:
-    """What k capsules felt on average over a physics step."""
+    """What k capsules and the anchors felt on average over a physics step."""
 
     net_w: Array  # force of the cloth, world [N]                           (k, 3)
     total: Array  # sum of the sizes of the forces of all vertices [N]      (k,)
+    grip_w: Array  # force with which the anchors hold the rest, world [N]  (3,)
+    stretch: Array  # greatest length of an edge, over that at rest         ()
     broken: Array  # the cloth went non-finite and was put back             () bool
 
 
@@ -99,7 +108,7 @@ def step(
     Returns:
         cloth, and what the solids felt. A vertex counts for the solid that it touched last.
     """
-    fabric = spec.fabric
+    fabric, vel_before = spec.fabric, cloth.vel_w
     h = dt / fabric.substeps
     relax = _relaxation(spec, h)
     mass = jnp.asarray(spec.mass, jnp.float32)
@@ -139,7 +148,47 @@ def step(
         return jnp.where(own & ~broken, x, 0.0).sum(-1)
 
     net = jnp.stack(each(on_each, force), -1)
-    return cloth, Touch(net_w=net, total=on_each(jnp.sqrt(dot(force, force))), broken=broken)
+    grip = jnp.where(broken, 0.0, _grip(spec, vel_before, cloth.vel_w, net.sum(0), dt))
+    total = on_each(jnp.sqrt(dot(force, force)))
+    stretch = _stretch(spec, cloth.pos_w)
+    return cloth, Touch(net_w=net, total=total, grip_w=grip, stretch=stretch, broken=broken)
+
+
+def _grip(spec: ClothSpec, before: Array, after: Array, net_w: Array, dt: float) -> Array:
+    """Force of the anchors on the free vertices [N] (3,): what else changed their momentum.
+
+    Forces between vertices cancel. Velocities [m/s] (n, 3) are those ``before`` a physics step and ``after`` it;
+    ``net_w`` is the force of the cloth on all solids [N] (3,).
+    """
+    mass = jnp.asarray(np.where(spec.held >= 0, 0.0, spec.mass), jnp.float32)
+    drag = spec.fabric.damping * (before + after) / 2
+    weight = jnp.array([0.0, 0.0, -spec.fabric.gravity * mass.sum()])
+    return mass @ ((after - before) / dt + drag) + weight + net_w
+
+
+def _stretch(spec: ClothSpec, pos_w: Array) -> Array:
+    """Greatest length of an edge, over that at rest ()."""
+    edges, pos = spec.edges, columns(pos_w)
+    rows = [sub(each(partial(_take, at=at), pos), pos) for at in edges.partner]
+    squared = jnp.stack([dot(off, off) for off in rows])
+    return jnp.sqrt(jnp.max(squared * jnp.asarray((edges.active / edges.rest) ** 2, jnp.float32)))
+
+
+def give_way(slid: Array, touch: Touch, dt: float) -> Array:
+    """How far cloth has slid through the fingers that hold it, a physics step later [m] (3,).
+
+    Where it is stretched beyond ``HELD`` it slides towards what pulls; else the fingers gather it in again.
+
+    Args:
+        slid: from where the hand would have the anchors to where they are [m] (3,).
+        touch: of the last physics step.
+        dt: its length [s].
+    """
+    pull, spare = jnp.sqrt(jnp.maximum(jnp.sum(touch.grip_w**2), TINY)), HELD - touch.stretch
+    away = jnp.sqrt(jnp.maximum(jnp.sum(slid**2), TINY))
+    out = touch.grip_w / pull * (SLIDES * jnp.clip(-spare, 0.0, 1.0) * dt)
+    back = slid / away * jnp.minimum(away, GATHERS * jnp.maximum(spare, 0.0) * dt)
+    return slid - out - back
 
 
 def _finite(x: Array) -> Array:

@@ -90,6 +90,7 @@ class DressState:
 
     cloth: Cloth
     heading: Array  # of the gown, about world z [rad]                          ()
+    slid: Array  # how far it has slid through the fingers, world [m]           (3,)
     on_arm: sleeve.Worn  # what the sleeve is on or was on just now
     dressed: Array  # AG's r_dress, now [m]                                     ()
     best: Array  # the best of it so far [m]                                    ()
@@ -194,6 +195,7 @@ class Dressing:
         state = DressState(
             cloth=fabrics.initial(self.spec, sensed.tool.pos_w - BELOW_HAND * UP),
             heading=zero,
+            slid=jnp.zeros(3),
             on_arm=sleeve.Worn(nowhere, nowhere),
             dressed=zero,
             best=jnp.float32(-jnp.inf),
@@ -204,14 +206,14 @@ class Dressing:
 
     def advance(self, state: DressState, sensed: Sensed) -> tuple[DressState, dict[str, Array]]:
         """Let the gown move with the hand, and see how far up the arm it is."""
-        cloth, heading, touch = self._move(state, sensed)
+        state, touch = self._move(state, sensed)
         limbs = len(TOUCHABLE) + len(BELOW)
         # a gown that blew up is put back; NaN is what the environment's guard ends episodes for
         force = jnp.where(touch.broken.any(), jnp.nan, touch.total.mean(0)[:limbs])
-        return self._judge(replace(state, cloth=cloth, heading=heading, force=force), sensed), {}
+        return self._judge(replace(state, force=force), sensed), {}
 
-    def _move(self, state: DressState, sensed: Sensed) -> tuple[Cloth, Array, Touch]:
-        """Gown and heading after the n physics steps of a control step, and what was felt in each."""
+    def _move(self, state: DressState, sensed: Sensed) -> tuple[DressState, Touch]:
+        """The gown after the n physics steps of a control step, and what was felt in each."""
         motion = sensed.motion
         limbs = (*TOUCHABLE, *BELOW)
         a, b, radius = link_capsules(sensed.dims, limbs, motion.link_pos_w, motion.link_rot_w)
@@ -219,21 +221,22 @@ class Dressing:
         a, b = (jnp.concatenate([x, still[:, :, i]], 1) for i, x in enumerate((a, b)))
         radius = jnp.concatenate([radius, jnp.full(2, ARMREST_RADIUS)])
 
-        def one(carry: tuple[Cloth, Array], moment: tuple) -> tuple[tuple[Cloth, Array], Touch]:
-            cloth, heading = carry
+        def one(carry: tuple, moment: tuple) -> tuple[tuple, Touch]:
+            cloth, heading, slid = carry
             (a0, b0, hand0), (a1, b1, hand1) = moment
             after = swivel(heading, hand1 - hand0)
             cloth, touch = fabrics.step(
                 self.spec, cloth, Capsules(a0, b0, radius), Capsules(a1, b1, radius),
-                held_at(self.spec, hand0, heading), held_at(self.spec, hand1, after),
+                held_at(self.spec, hand0 + slid, heading), held_at(self.spec, hand1 + slid, after),
                 self.control.time_step,
             )  # fmt: skip
-            return (cloth, after), touch
+            return (cloth, after, fabrics.give_way(slid, touch, self.control.time_step)), touch
 
         way = a, b, motion.tool_pos_w
         moments = tuple(x[:-1] for x in way), tuple(x[1:] for x in way)
-        (cloth, heading), touch = jax.lax.scan(one, (state.cloth, state.heading), moments)
-        return cloth, heading, touch
+        carry = state.cloth, state.heading, state.slid
+        (cloth, heading, slid), touch = jax.lax.scan(one, carry, moments)
+        return replace(state, cloth=cloth, heading=heading, slid=slid), touch
 
     def _judge(self, state: DressState, sensed: Sensed) -> DressState:
         """How far up the arm the opening is."""
@@ -285,14 +288,16 @@ class Dressing:
     @property
     def hidden_size(self) -> int:
         """Entries of ``hidden``."""
-        return 7
+        return 10
 
     def hidden(self, state: DressState) -> Array:
         """What the sleeve is on, how far, and where its opening is from what is held (hidden_size,)."""
         on, pos = state.on_arm, state.cloth.pos_w
         flags = [on.forearm, on.upper_arm, on.unseen / sleeve.REMEMBERED, state.dressed]
         off = pos[self.watched].mean((0, 1)) - pos[self.spec.garment.anchors].mean(0)
-        return jnp.concatenate([jnp.stack([jnp.asarray(x, jnp.float32) for x in flags]), off])
+        return jnp.concatenate(
+            [jnp.stack([jnp.asarray(x, jnp.float32) for x in flags]), off, state.slid]
+        )
 
     def success(self, state: DressState) -> Array:
         """Whether the sleeve has been far enough up the arm ()."""

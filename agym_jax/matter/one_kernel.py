@@ -15,8 +15,8 @@ from jax import Array
 
 WARPS = 4
 """Of 32 threads each, that work on one world."""
-COLUMNS = 16
-"""Others that are looked at together: 64 x 16 pairs are 8 to a thread."""
+COLUMNS = 8
+"""Others that are looked at together: 64 x 8 pairs are 4 to a thread."""
 LEAST = 16
 """Fewer particles than this are left to XLA."""
 

@@ -180,6 +180,24 @@ def reach(folder: Path = RESULTS) -> str:
     return table(lines, columns, itemgetter("env"))
 
 
+def pulls(folder: Path = RESULTS) -> str:
+    """What scripted pulls of the gown over a person's arm come to."""
+    columns = {
+        "edge": lambda x: f"{1000 * x['edge_m']:.1f} mm",
+        "vertices": lambda x: f"{x['vertices']:,}",
+        "pulls": lambda x: f"{x['pulls']:,}",
+        "a limb came through": lambda x: f"{x['through']}",
+        "0.4 m up the arm": lambda x: f"{x['beyond_0_4_m']:.1%}",
+        "over 80 % of the arm": lambda x: f"{x['progress_above_0_8']:.1%}",
+        "greatest force, median (99 %)": lambda x: (
+            f"{x['force_median_n']:.2f} N ({x['force_99_n']:.2f} N)"
+        ),
+        "hangs": lambda x: f"{x['hang_m']:.3f} m",
+    }
+    lines = read_results("pulls", ("edge_m", "pulls"), folder)
+    return table(lines, columns, lambda x: (-x["edge_m"], x["pulls"]))
+
+
 def success(folder: Path = RESULTS) -> str:
     """How often shipped policies succeed, by task and robot."""
     lines = read_results("evaluation", ("env", "policy"), folder)
@@ -225,6 +243,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "policies": policies,
     "nan": nan,
     "reach": reach,
+    "pulls": pulls,
     "cpu": cpu,
 }
 

@@ -212,22 +212,32 @@ _TOUCH: dict[str, Any] = {
     "activation": "elu",
 }
 
-# Spoon and cup travel slowly: a reward is many steps away.
-_MEAL: dict[str, Any] = _TOUCH | {"lr": 5e-4, "gamma": 0.99, "gae_lambda": 0.95}
+# Spoon, cup and gown travel slowly: a reward is many steps away.
+_SLOW: dict[str, Any] = _TOUCH | {"lr": 5e-4, "gamma": 0.99, "gae_lambda": 0.95}
+
+# Every place of an itch, and every tilt of a head, wants another motion.
+_LARGE: dict[str, Any] = {"policy_hidden": (512, 256, 128), "value_hidden": (512, 512)}
+
+_STROKES: dict[str, Any] = _TOUCH | {"ppo_epoch": 8, "num_mini_batch": 16}
+_MANY_STROKES: dict[str, Any] = (
+    _STROKES | _LARGE | {"gamma": 0.98, "gae_lambda": 0.95, "entropy_coef": 0.004}
+)
 
 # What a task changes of the base, measured on a GPU. Keys are the beginnings of environment ids.
 TASK_CHANGES: dict[str, dict[str, Any]] = {
-    "ScratchItch": _TOUCH | {"ppo_epoch": 8, "num_mini_batch": 16},
+    "ScratchItch": _MANY_STROKES,
+    "ScratchItchBaxter": _MANY_STROKES | {"entropy_coef": 0.006},
+    "ScratchItchJaco": _STROKES,
     "BedBathing": _TOUCH,
-    "Feeding": _MEAL,
-    "Drinking": _MEAL,
-    "Dressing": _MEAL,
+    "Feeding": _SLOW,
+    "Drinking": _SLOW | _LARGE,
+    "Dressing": _SLOW,
     "ArmManipulation": _TOUCH | {"gamma": 0.98, "gae_lambda": 0.95},
     "Reaching": _TOUCH | {"lr": 3e-4},
 }
 
-WORLDS = {"ScratchItch": 1024}
-"""Worlds on an accelerator, where a task learns best with another number than 4096."""
+WORLDS = {"ScratchItch": 2048, "ScratchItchJaco": 1024}
+"""Worlds on an accelerator, where a task learns best with another number than 4096. Keys as above."""
 LEAST_SAMPLES = 80
 """Of a mini-batch, when ``num_mini_batch`` would make smaller ones of a small batch."""
 
@@ -240,10 +250,14 @@ def config_for(env_name: str, kind: type[Config] = PPOConfig) -> Config:
             the base.
         kind: whose settings.
     """
+    return dataclasses.replace(kind(), env_name=env_name, **_of(TASK_CHANGES, env_name, {}))
+
+
+def _of(table: dict[str, Any], env_name: str, otherwise: Any) -> Any:
+    """The entry of the longest key that an environment id begins with."""
     plain = env_name.rpartition(":")[2]  # without the module of a plug-in
-    tasks = [task for task in TASK_CHANGES if plain.startswith(task)]
-    changes = TASK_CHANGES[max(tasks, key=len)] if tasks else {}
-    return dataclasses.replace(kind(), env_name=env_name, **changes)
+    keys = [key for key in table if plain.startswith(key)]
+    return table[max(keys, key=len)] if keys else otherwise
 
 
 def env_name_in(arguments: Sequence[str], default: str = PPOConfig.env_name) -> str:
@@ -290,8 +304,7 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
         ConfigError: the worlds do not divide among the devices, or the data of an update not into
             mini-batches.
     """
-    plain = config.env_name.rpartition(":")[2]
-    worlds = next((n for task, n in WORLDS.items() if plain.startswith(task)), 4096)
+    worlds = _of(WORLDS, config.env_name, 4096)
     num_envs = config.num_processes or (64 if platform == "cpu" else worlds)
     if num_envs % devices:
         raise ConfigError(

@@ -7,6 +7,7 @@ the episodes that ended since the line before) and draws ``docs/images/learning_
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 from benchmarks.tables import RESULTS
 
 OUTPUT = RESULTS.parent.parent / "docs" / "images" / "learning_curves.png"
+COLUMNS = 4
 
 
 def newest(path: Path = RESULTS / "curves.jsonl") -> dict[str, dict[str, Any]]:
@@ -31,8 +33,11 @@ def draw(curves: dict[str, dict[str, Any]], output: Path) -> None:
 
     robots = ("PR2", "Jaco", "Baxter", "Sawyer")
     tasks = sorted({_task(name, robots) for name in curves})
-    figure, panels = plt.subplots(1, len(tasks), figsize=(3.6 * len(tasks), 3.0), squeeze=False)
-    for panel, task in zip(panels[0], tasks, strict=True):
+    rows = math.ceil(len(tasks) / COLUMNS)
+    figure, panels = plt.subplots(rows, COLUMNS, figsize=(3.4 * COLUMNS, 2.8 * rows), squeeze=False)
+    for panel in panels.flat[len(tasks) :]:
+        panel.set_axis_off()
+    for panel, task in zip(panels.flat, tasks, strict=False):
         for robot in robots:
             line = curves.get(f"{task}{robot}-v0")
             if line:
@@ -40,7 +45,8 @@ def draw(curves: dict[str, dict[str, Any]], output: Path) -> None:
                 panel.plot(steps, [100 * x for x in line["success"]], label=robot, linewidth=1.4)
         panel.set(title=task, xlabel="million steps", ylim=(0, 101))
         panel.grid(alpha=0.25)
-    panels[0][0].set_ylabel("success while training [%]")
+    for first in panels[:, 0]:
+        first.set_ylabel("success while training [%]")
     panels[0][0].legend(frameon=False, fontsize=8)
     figure.tight_layout()
     figure.savefig(output, dpi=110)

@@ -1,0 +1,122 @@
+"""A film of every shipped policy, and a sheet a task: ``python -m benchmarks.clips [ID ...]``.
+
+Plays the episode of one seed with each policy's mode, on C MuJoCo, and draws ``docs/images/clips/ID.webp`` and
+``docs/images/clips/TASK.jpg``, which ``docs/clips.md`` shows. Nothing is picked: what fails at that seed is shown
+failing.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+from PIL import Image, ImageDraw
+
+from agym_jax.robots import ROBOTS
+from agym_jax.tasks import TASKS
+from train.acting import find_policies, load_policies
+from train.enjoy import EnjoyConfig, Frame, Player, film
+from train.envs import make_env
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+CLIPS = DOCS / "images" / "clips"
+POLICIES = DOCS.parent / "assets" / "policies"
+SEED = 1001
+EVERY = 4  # steps from picture to picture
+LAST = 12  # pictures that show the end
+SIZE = (320, 240)
+MOMENTS = (0, 15, 30, 60, 100, 200)  # steps that a sheet shows
+
+
+def play(env_name: str) -> tuple[list[Frame], list[np.ndarray]]:
+    """The episode of ``SEED``: every ``EVERY``-th frame and its picture (height, width, 3), uint8."""
+    env = make_env(env_name, "native")
+    policy = load_policies(find_policies(env_name, None, None, None), env, False)
+    frames = list(Player(env, policy, deterministic=True).episode(SEED))[::EVERY]
+    config = EnjoyConfig(env_name=env_name, width=2 * SIZE[0], height=2 * SIZE[1])
+    return frames, film(env, frames, config)
+
+
+def draw(env_name: str) -> None:
+    """The film of one environment, and its row of the task's sheet as a file of its own."""
+    frames, pictures = play(env_name)
+    small = [Image.fromarray(x).resize(SIZE, Image.Resampling.LANCZOS) for x in pictures]
+    for frame, picture in zip(frames, small, strict=True):
+        done = "  success" if frame.success else ""
+        ImageDraw.Draw(picture).text((6, 4), f"{frame.step / 10:.1f} s{done}", fill=(20, 20, 20))
+    film_of = [*small, *[small[-1]] * LAST]
+    film_of[0].save(
+        CLIPS / f"{env_name}.webp", save_all=True, append_images=film_of[1:], duration=100, loop=0,
+        quality=45, method=5,
+    )  # fmt: skip
+    row = Image.new("RGB", (len(MOMENTS) * SIZE[0], SIZE[1]))
+    for i, step in enumerate(MOMENTS):
+        row.paste(small[min(step // EVERY, len(small) - 1)], (i * SIZE[0], 0))
+    ImageDraw.Draw(row).text((6, SIZE[1] - 16), env_name, fill=(20, 20, 20))
+    row.save(CLIPS / f".{env_name}.png")
+
+
+def sheet(task: str) -> None:
+    """One picture of the rows that were drawn of a task."""
+    names = [f".{task}{robot}-v0.png" for robot in ROBOTS]
+    rows = [Image.open(CLIPS / name) for name in names if (CLIPS / name).exists()]
+    if rows:
+        whole = Image.new("RGB", (rows[0].width, sum(row.height for row in rows)))
+        for i, row in enumerate(rows):
+            whole.paste(row, (0, i * row.height))
+        whole.save(CLIPS / f"{task}.jpg", quality=72)
+
+
+def page() -> str:
+    """``docs/clips.md``: a table of films for each task."""
+    lines = [
+        "# Every policy that ships, at work",
+        "",
+        f"Drawn by `python -m benchmarks.clips`: the episode of seed {SEED} with each policy's mode, at 2.5 times the",
+        "speed of life. Nothing is picked: what fails there is shown failing. How often they succeed with a thousand",
+        "people is in [benchmarks](benchmarks.md).",
+    ]
+    for task in TASKS:
+        shown = [f"{task}{robot}-v0" for robot in ROBOTS]
+        shown = [name for name in shown if (CLIPS / f"{name}.webp").exists()]
+        if shown:
+            lines += [
+                "",
+                f"## {task}",
+                "",
+                "| " + " | ".join(shown) + " |",
+                "|---" * len(shown) + "|",
+            ]
+            lines += ["| " + " | ".join(f"![{x}](images/clips/{x}.webp)" for x in shown) + " |", ""]
+            lines += [f"![{task}](images/clips/{task}.jpg)"]
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line: environment ids, if not all that have a policy."""
+    jax.config.update("jax_platforms", "cpu")
+    there = sorted(path.stem for path in POLICIES.glob("*-v0.npz"))
+    names = (sys.argv[1:] if arguments is None else list(arguments)) or there
+    unknown = [name for name in names if name not in there]
+    if unknown:
+        print(
+            f"No policy ships for {', '.join(unknown)}; there are: {', '.join(there)}.",
+            file=sys.stderr,
+        )
+        return 2
+    CLIPS.mkdir(parents=True, exist_ok=True)
+    for i, name in enumerate(names):
+        print(f"\r{i + 1}/{len(names)} {name:<24}", end="", flush=True)
+        draw(name)
+    for task in TASKS:
+        sheet(task)
+    (DOCS / "clips.md").write_text(page())
+    print(f"\r{DOCS / 'clips.md'}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -165,6 +165,20 @@ def test_cloth_slides_through_fingers_while_it_is_stretched():
     assert np.isfinite(after((0.0, 0.0, 0.0), 9.0, (0.0, 0.0, 0.0))).all()
 
 
+def test_cloth_that_is_let_go_falls_freely_and_held_cloth_is_as_before():
+    spec = weave(load())
+    cloth, none = initial(spec, jnp.zeros(3)), NOTHING
+    at = anchor_positions(spec, jnp.zeros(3))
+    still, held, gone = (
+        jax.jit(lambda c, h: step(spec, c, none, none, at, at, DT, h)[0])(cloth, h)
+        for h in (None, jnp.float32(1.0), jnp.float32(0.0))
+    )
+    np.testing.assert_allclose(held.pos_w, still.pos_w, atol=1e-6)
+    np.testing.assert_allclose(held.pos_w[spec.garment.anchors], at, atol=1e-6)
+    momentum = spec.mass @ np.asarray(gone.vel_w) / spec.mass.sum()
+    np.testing.assert_allclose(momentum, [0.0, 0.0, -G * DT], atol=0.01 * G * DT)
+
+
 def test_energy_does_not_grow():
     spec = weave(sheet(0.3, 0.4, 0.025), Fabric(damping=0.0))
     v = spec.garment.vertices

@@ -14,6 +14,7 @@ from cloth_world import Pull, before_hand, draw_pull, pull_on
 from meal_world import CHEST, FAR, TORSO, arrays, sensed
 
 from agym_jax import observe
+from agym_jax.matter.cloth import LET_GO
 from agym_jax.matter.sleeve import Worn
 from agym_jax.robots import ROBOTS
 from agym_jax.spec import Preferences
@@ -256,3 +257,16 @@ def test_the_hand_and_what_it_holds_part_while_the_gown_is_caught():
     held = after.cloth.pos_w[TASK.spec.garment.anchors].mean(0)
     expected = np.array(START) - [0, 0, BELOW_HAND] + after.slid
     np.testing.assert_allclose(held, expected, atol=0.006)
+
+
+def test_a_gown_of_which_too_much_has_slid_through_is_out_of_the_hand():
+    far = jnp.array([LET_GO + 0.01, 0.0, 0.0])
+    cloth = start().cloth
+    state = replace(start(), slid=far, cloth=replace(cloth, pos_w=cloth.pos_w + far))
+    heights = [float(state.cloth.pos_w[:, 2].mean())]
+    for _ in range(5):
+        state, _ = advance()(state, seen())
+        assert state.held == 0.0
+        heights.append(float(state.cloth.pos_w[:, 2].mean()))
+    assert heights[0] - heights[-1] > 0.4  # half a second of falling, on nothing that would stop it
+    assert np.allclose(state.slid[1:], 0.0) and start().held == 1.0

@@ -16,7 +16,8 @@ colour, and the last one does the contacts too.
 
 DEVIATION(no-self-contact): cloth does not touch itself, as AG's does not. Bending keeps the sleeve open.
 DEVIATION(grip-slips): a gown that is caught slides through the fingers instead of being pulled through the limb;
-when it comes free they gather it in. AG's anchors never give way.
+when it comes free they gather it in, and when more than 15 cm have slid through it is out of the hand for the rest
+of the episode. AG's anchors never give way.
 DEVIATION(gripper-feels-nothing): anchors do not push back on the robot: the gown weighs 80 g.
 """
 
@@ -42,6 +43,8 @@ HELD = 1.8
 """Fingers hold cloth until its most stretched edge is so many times as long as at rest."""
 SLIDES, GATHERS = 3.0, 0.5
 """How fast cloth slides through fingers, or is gathered in again, for every unit of stretch, one at most, more or less [m/s]."""
+LET_GO = 0.15
+"""When more than this has slid through the fingers, they hold nothing [m]."""
 
 
 @jax.tree_util.register_dataclass
@@ -92,7 +95,8 @@ def anchor_positions(spec: ClothSpec, pos_w: Array, rot_w: Array | None = None) 
 
 
 def step(
-    spec: ClothSpec, cloth: Cloth, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array, dt: float
+    spec: ClothSpec, cloth: Cloth, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array, dt: float,
+    held: Array | None = None,
 ) -> tuple[Cloth, Touch]:  # fmt: skip
     """Advance by one physics step, while solids and anchors move along straight lines.
 
@@ -104,13 +108,14 @@ def step(
         anchors_start: where the anchors are at its beginning, world [m] (a, 3).
         anchors_end: at its end.
         dt: its length [s].
+        held: 1.0 while the anchors hold the cloth, 0.0 when it was let go (); they do if left out.
 
     Returns:
         cloth, and what the solids felt. A vertex counts for the solid that it touched last.
     """
     fabric, vel_before = spec.fabric, cloth.vel_w
     h = dt / fabric.substeps
-    relax = _relaxation(spec, h)
+    relax, free = _relaxation(spec, h, held), _free(spec, held)
     mass = jnp.asarray(spec.mass, jnp.float32)
 
     def between(a: Array, b: Array, share: Array) -> Array:
@@ -124,9 +129,9 @@ def step(
         pos, vel, pushed, touched = carry
         anchors = columns(between(anchors_start, anchors_end, share))
         fallen = _fall(spec, pos, vel, h)
-        moved = relax(_hold(spec, fallen, anchors), anchors)
+        moved = relax(_hold(spec, fallen, anchors, held), anchors)
         then, now = solids(share - 1.0 / fabric.substeps), solids(share)
-        push, heal, which = _push_out(spec, moved, pos, then, now)
+        push, heal, which = _push_out(spec, free, moved, pos, then, now)
         after = add(moved, push)
         vel = scale((1.0 - fabric.damping * h) / h, sub(after, pos))
         touched = jnp.where(which >= 0, which, touched)
@@ -201,21 +206,27 @@ def _fall(spec: ClothSpec, pos: Xyz, vel: Xyz, h: float) -> Xyz:
     return add(pos, scale(h * jnp.minimum(1.0, spec.fabric.max_speed / length(vel)), vel))
 
 
-def _hold(spec: ClothSpec, pos: Xyz, anchors: Xyz) -> Xyz:
+def _free(spec: ClothSpec, held: Array | None) -> Array:
+    """1 for vertices that nothing holds (n,)."""
+    loose = jnp.asarray(spec.held < 0, jnp.float32)
+    return loose if held is None else jnp.maximum(loose, 1.0 - held)
+
+
+def _hold(spec: ClothSpec, pos: Xyz, anchors: Xyz, held: Array | None) -> Xyz:
     """Anchored vertices where the gripper has them."""
-    held, slot = spec.held >= 0, np.maximum(spec.held, 0)
-    return each(lambda x, a: jnp.where(held, _take(a, slot), x), pos, anchors)
+    slot = np.maximum(spec.held, 0)
+    there = spec.held >= 0 if held is None else (spec.held >= 0) & (held > 0)
+    return each(lambda x, a: jnp.where(there, _take(a, slot), x), pos, anchors)
 
 
-def _relaxation(spec: ClothSpec, h: float):
+def _relaxation(spec: ClothSpec, h: float, held: Array | None):
     """A function of positions and anchors: one sweep over hinges, tethers and edges."""
-    inverse = np.where(spec.held >= 0, 0.0, 1.0 / spec.mass)
-    hinge, edge = (_shares(p, inverse, h) for p in (spec.hinges, spec.edges))
-    crowd = np.maximum(hinge.sum(0), 1e-9) / RELAXED
-    # the same for both of a pair: momentum stays
-    crowd = np.maximum(crowd, crowd[spec.hinges.partner])
-    hinge = hinge / np.maximum(crowd, 1.0)
-    free = jnp.asarray(spec.held < 0, jnp.float32)
+    hinge, edge = (jnp.asarray(x, jnp.float32) for x in _all_shares(spec, spec.held >= 0, h))
+    pulled = jnp.asarray(spec.held < 0, jnp.float32)
+    if held is not None:
+        loose = _all_shares(spec, np.zeros(spec.count, bool), h)
+        hinge, edge = (jnp.where(held > 0, a, b) for a, b in zip((hinge, edge), loose, strict=True))
+        pulled = held * pulled
     rows = range(len(edge))
 
     def relax(pos: Xyz, anchors: Xyz) -> Xyz:
@@ -224,7 +235,7 @@ def _relaxation(spec: ClothSpec, h: float):
             pos = add(pos, shift)
         off = sub(pos, each(partial(_take, at=spec.tether), anchors))
         inverse_length = rsqrt(jnp.maximum(dot(off, off), TINY))
-        excess = free * jnp.maximum(
+        excess = pulled * jnp.maximum(
             1.0 - jnp.asarray(spec.reach, jnp.float32) * inverse_length, 0.0
         )
         pos = sub(pos, scale(excess, off))
@@ -235,25 +246,35 @@ def _relaxation(spec: ClothSpec, h: float):
     return relax
 
 
+def _all_shares(spec: ClothSpec, held: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of hinges and of edges, (r, n) each, while some vertices (n,) are held."""
+    inverse = np.where(held, 0.0, 1.0 / spec.mass)
+    hinge, edge = (_shares(p, inverse, h) for p in (spec.hinges, spec.edges))
+    crowd = np.maximum(hinge.sum(0), 1e-9) / RELAXED
+    # the same for both of a pair: momentum stays
+    crowd = np.maximum(crowd, crowd[spec.hinges.partner])
+    return hinge / np.maximum(crowd, 1.0), edge
+
+
 def _shares(pairs: Pairs, inverse: np.ndarray, h: float) -> np.ndarray:
     """Share of a pair's error that its first vertex undoes in a substep (r, n)."""
     both = inverse + inverse[pairs.partner] + pairs.compliance / h**2
     return pairs.active * inverse / np.maximum(both, 1e-12)
 
 
-def _pull(pairs: Pairs, share: np.ndarray, row: int, pos: Xyz) -> Xyz:
+def _pull(pairs: Pairs, share: Array, row: int, pos: Xyz) -> Xyz:
     """How one row of pairs moves every vertex [m], each (n,)."""
     partner = pairs.partner[row]
     off = sub(each(partial(_take, at=partner), pos), pos)
     inverse_length = rsqrt(jnp.maximum(dot(off, off), TINY))
     rest = jnp.asarray(pairs.rest[row], jnp.float32)
-    return scale(jnp.asarray(share[row], jnp.float32) * (1.0 - rest * inverse_length), off)
+    return scale(share[row] * (1.0 - rest * inverse_length), off)
 
 
 def _push_out(
-    spec: ClothSpec, pos: Xyz, start: Xyz, then: Capsules, now: Capsules
+    spec: ClothSpec, free: Array, pos: Xyz, start: Xyz, then: Capsules, now: Capsules
 ) -> tuple[Xyz, Xyz, Array]:
-    """How vertices are pushed out of the nearest solid, and healed besides, and which solid that is, -1 for none.
+    """How free vertices are pushed out of the nearest solid, and healed besides, and which solid that is, -1 for none.
 
     A push undoes what moved inwards within the substep, and up to friction * push of what slid along the solid.
     What was inside before is healed by displacement.
@@ -265,7 +286,6 @@ def _push_out(
     which, dist, normal, carried = _nearest(pos, then, now)
     went = sub(sub(pos, start), carried)
     inwards = dot(went, normal)
-    free = jnp.asarray(spec.held < 0, jnp.float32)
     overlap = free * jnp.maximum(spec.fabric.thickness - dist, 0.0)
     depth = jnp.minimum(overlap, jnp.maximum(-inwards, 0.0))
     slid = sub(went, scale(inwards, normal))

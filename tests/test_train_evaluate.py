@@ -18,6 +18,7 @@ from agym_jax.registry import parse
 from train import enjoy, evaluate
 from train.acting import BASELINES, PolicyFiles, baseline_policy, load_policies
 from train.algorithm import policy_of
+from train.alone import evaluate_alone
 from train.configs import PPOConfig
 from train.errors import (
     PolicyDamagedError,
@@ -25,9 +26,10 @@ from train.errors import (
     PolicyLayoutError,
     PolicyNotFoundError,
 )
-from train.evaluate import Evaluator, wilson_interval
+from train.evaluate import Evaluator
 from train.learner import architecture, init_learner
 from train.policy import Policy, find_policy, load_policy, save_policy
+from train.score import wilson_interval
 
 INFO = {"env": "FakeReach-v0", "layout": "fake-1", "commit": None, "versions": {}}
 
@@ -173,6 +175,23 @@ def test_an_evaluation_agrees_with_stepping_one_world_after_another():
         assert found.returns[i] == pytest.approx(total, rel=1e-5)
         assert found.forces[i] == pytest.approx(force / 20, rel=1e-5)
         assert found.successes[i] == bool(state.metrics["success"])
+
+
+def test_one_world_after_another_finds_what_it_should(policy):
+    env = FakeEnv()
+    found = evaluate_alone(env, policy, 3, jax.random.PRNGKey(5))
+    for i, key in enumerate(jax.random.split(jax.random.PRNGKey(5), 3)):
+        state, total = env.reset(jax.random.split(key)[0]), 0.0
+        for _ in range(env.episode_length):
+            state = env.step(state, policy(state.obs))
+            total += float(state.reward)
+        assert np.isclose(found.returns[i], total, rtol=1e-4)
+        assert found.successes[i] == (state.metrics["success"] > 0.5)
+    assert found.episodes == 3 and found.env == env.name and not found.nan.any()
+    native = dataclasses.replace(env)
+    native.impl = "native"  # what cannot be batched is evaluated so
+    again = evaluate.evaluate(native, policy, 3, jax.random.PRNGKey(5))
+    np.testing.assert_array_equal(again.returns, found.returns)
 
 
 def test_only_the_first_episode_of_a_world_counts_and_nan_is_seen():

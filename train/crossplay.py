@@ -20,10 +20,11 @@ from train.acting import BASELINES, Baseline, Pair, load_agent
 from train.configs import Count
 from train.envs import make_env, parts, refuse_static_human, static_name
 from train.errors import ConfigError
-from train.evaluate import EvaluationResult, Evaluator
+from train.evaluate import Evaluator
 from train.npz import check_writable
 from train.policy import FILE_NAMES, Policy, check_policy, find_policy
 from train.record import append_record, record
+from train.score import EvaluationResult
 
 STILL = "(holds still)"
 Matrix = dict[tuple[str, str], EvaluationResult]

@@ -27,13 +27,13 @@ from train.acting import baseline_policy
 from train.configs import Count, config_for
 from train.enjoy import Frame, caption
 from train.envs import make_env, vectorize
-from train.evaluate import EvaluationResult
 from train.npz import check_writable
 from train.policy import find_policy, load_policy
 from train.ppo import OnLog, train
 from train.progress import for_terminal
 from train.result import summary
 from train.rollout import FORCE_KEY
+from train.score import EvaluationResult
 from train.stepwise import StepwiseEnv, evaluate_stepwise
 
 FILM_SPEED = 4.0  # times real time

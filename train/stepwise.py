@@ -21,8 +21,8 @@ from train.acting import AnyPolicy
 from train.algorithm import Algorithm
 from train.configs import LearnConfig
 from train.errors import ConfigError
-from train.evaluate import EvaluationResult, add_step, result_of, zero_sums
 from train.rollout import Worlds, account, everything, first_worlds, strong_types, zero_totals
+from train.score import EvaluationResult, add_step, result_of, zero_sums
 
 
 class StepwiseEnv:

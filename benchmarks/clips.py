@@ -41,7 +41,7 @@ def play(env_name: str) -> tuple[list[Frame], list[np.ndarray]]:
 
 
 def draw(env_name: str) -> None:
-    """The film of one environment, and its row of the task's sheet as a file of its own."""
+    """The film of one environment."""
     frames, pictures = play(env_name)
     small = [Image.fromarray(x).resize(SIZE, Image.Resampling.LANCZOS) for x in pictures]
     for frame, picture in zip(frames, small, strict=True):
@@ -52,21 +52,25 @@ def draw(env_name: str) -> None:
         CLIPS / f"{env_name}.webp", save_all=True, append_images=film_of[1:], duration=100, loop=0,
         quality=45, method=5,
     )  # fmt: skip
-    row = Image.new("RGB", (len(MOMENTS) * SIZE[0], SIZE[1]))
-    for i, step in enumerate(MOMENTS):
-        row.paste(small[min(step // EVERY, len(small) - 1)], (i * SIZE[0], 0))
-    ImageDraw.Draw(row).text((6, SIZE[1] - 16), env_name, fill=(20, 20, 20))
-    row.save(CLIPS / f".{env_name}.png")
+
+
+def films(task: str) -> list[str]:
+    """The environments of a task of which there is a film."""
+    names = [f"{task}{robot}-v0" for robot in ROBOTS]
+    return [name for name in names if (CLIPS / f"{name}.webp").exists()]
 
 
 def sheet(task: str) -> None:
-    """One picture of the rows that were drawn of a task."""
-    names = [f".{task}{robot}-v0.png" for robot in ROBOTS]
-    rows = [Image.open(CLIPS / name) for name in names if (CLIPS / name).exists()]
-    if rows:
-        whole = Image.new("RGB", (rows[0].width, sum(row.height for row in rows)))
-        for i, row in enumerate(rows):
-            whole.paste(row, (0, i * row.height))
+    """One picture of a task: a few moments of each of its films."""
+    names, (width, height) = films(task), SIZE
+    whole = Image.new("RGB", (len(MOMENTS) * width, len(names) * height))
+    for row, name in enumerate(names):
+        with Image.open(CLIPS / f"{name}.webp") as film_of:
+            for column, step in enumerate(MOMENTS):
+                film_of.seek(step // EVERY)
+                whole.paste(film_of.convert("RGB"), (column * width, row * height))
+        ImageDraw.Draw(whole).text((6, (row + 1) * height - 16), name, fill=(20, 20, 20))
+    if names:
         whole.save(CLIPS / f"{task}.jpg", quality=72)
 
 
@@ -80,8 +84,7 @@ def page() -> str:
         "people is in [benchmarks](benchmarks.md).",
     ]
     for task in TASKS:
-        shown = [f"{task}{robot}-v0" for robot in ROBOTS]
-        shown = [name for name in shown if (CLIPS / f"{name}.webp").exists()]
+        shown = films(task)
         if shown:
             lines += [
                 "",

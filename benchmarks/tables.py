@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
@@ -159,14 +160,14 @@ def policies(folder: Path = RESULTS) -> str:
 
     columns = {
         "environment": lambda x: x["env"],
+        "people": lambda x: f"{x['episodes']:,}",
         "return": lambda x: f"{x['return_mean']:.1f} ± {x['return_std']:.1f}",
         "mean force on the person": lambda x: f"{x['force_mean']:.2f} N",
         "success (95 % interval)": success,
         "success, sampled": lambda x: success(sampled[x["env"]]) if x["env"] in sampled else "",
     }
     mode = [x for x in lines if x["policy"] == "mode"]
-    episodes = several(f"{x['episodes']:,}" for x in mode)
-    return table(mode, columns, itemgetter("env"), f"{episodes} episodes, mode of the policy;")
+    return table(mode, columns, itemgetter("env"), "Mode of the policy;")
 
 
 def reach(folder: Path = RESULTS) -> str:
@@ -202,9 +203,12 @@ def success(folder: Path = RESULTS) -> str:
     """How often shipped policies succeed, by task and robot."""
     lines = read_results("evaluation", ("env", "policy"), folder)
     mode = [x for x in lines if x["policy"] == "mode"]
-    episodes = several(f"{x['episodes']:,}" for x in mode)
-    note = f"Success of the shipped policies, {episodes} people each;"
-    return matrix(mode, lambda x: f"{x['success']:.0%}", note)
+    usual = mode and Counter(x["episodes"] for x in mode).most_common(1)[0][0]
+
+    def cell(x: Line) -> str:
+        return f"{x['success']:.0%}" + (f" of {x['episodes']:,}" if x["episodes"] != usual else "")
+
+    return matrix(mode, cell, f"Success of the shipped policies, {usual:,} people each or as said;")
 
 
 def speed(folder: Path = RESULTS) -> str:

@@ -79,9 +79,9 @@ def page() -> str:
     lines = [
         "# Every policy that ships, at work",
         "",
-        f"Drawn by `python -m benchmarks.clips`: the episode of seed {SEED} with each policy's mode, at 2.5 times the",
-        "speed of life. Nothing is picked: what fails there is shown failing. How often they succeed with a thousand",
-        "people is in [benchmarks](benchmarks.md).",
+        f"Drawn by `python -m benchmarks.clips`: the episode of seed {SEED} with each policy's mode, at four times",
+        "the speed of life. Nothing is picked: what fails there is shown failing. How often they succeed is in",
+        "[benchmarks](benchmarks.md).",
     ]
     for task in TASKS:
         shown = films(task)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from agym_jax.matter.cloth import LET_GO, Cloth, Touch, give_way, initial, step
+from agym_jax.matter.cloth import Cloth, Touch, give_way, in_hand, initial, step
 from agym_jax.matter.garment import Garment
 from agym_jax.matter.shapes import Capsules, no_capsules
 from agym_jax.matter.sleeve import Arm, crossed, dressed, progress, watched_vertices, worn
@@ -136,13 +136,12 @@ def pull_on(
     axis = jnp.stack([arm.shoulder_w, arm.elbow_w, arm.wrist_w, capsules.a_w[2]])
 
     def one(carry: tuple, now: tuple) -> tuple[tuple, Array]:
-        cloth, heading, slid, grip, latched, out = carry
+        cloth, heading, slid, latched, out = carry
         before, after = now
         turned = swivel(heading, after - before)
         held = held_at(spec, before + slid, heading), held_at(spec, after + slid, turned)
-        cloth, touch = step(spec, cloth, capsules, capsules, *held, DT, grip)
-        slid = jnp.where(grip > 0, give_way(slid, touch, DT), slid)
-        grip = grip * (jnp.linalg.norm(slid) <= LET_GO)
+        cloth, touch = step(spec, cloth, capsules, capsules, *held, DT, in_hand(slid))
+        slid = give_way(slid, touch, DT)
         points = cloth.pos_w[watched]
         latched = worn(points, arm).after(latched)
         corners = cloth.pos_w[triangles]
@@ -160,13 +159,13 @@ def pull_on(
             slid=jnp.maximum(out.slid, jnp.linalg.norm(slid)),
             broken=out.broken | touch.broken,
         )
-        return (cloth, turned, slid, grip, latched, out), (cloth.pos_w, touch)
+        return (cloth, turned, slid, latched, out), (cloth.pos_w, touch)
 
     zero = jnp.float32(0.0)
     out = Outcome(zero, zero, jnp.float32(-9.0), jnp.int32(0), zero, zero, zero, jnp.array(False))
     cloth = initial(spec, pos[0] - BELOW_HAND * UP)
     nothing = worn(cloth.pos_w[watched] + 99.0, arm)
-    carry = (cloth, jnp.float32(0.0), jnp.zeros(3), jnp.float32(1.0), nothing, out)
+    carry = (cloth, jnp.float32(0.0), jnp.zeros(3), nothing, out)
     (cloth, *_, out), (seen, touch) = jax.lax.scan(one, carry, (pos[:-1], pos[1:]))
     return out, cloth, jax.tree.map(lambda x: x[-1], touch), seen
 

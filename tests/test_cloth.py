@@ -171,7 +171,7 @@ def test_cloth_that_is_let_go_falls_freely_and_held_cloth_is_as_before():
     at = anchor_positions(spec, jnp.zeros(3))
     still, held, gone = (
         jax.jit(lambda c, h: step(spec, c, none, none, at, at, DT, h)[0])(cloth, h)
-        for h in (None, jnp.float32(1.0), jnp.float32(0.0))
+        for h in (None, jnp.bool_(True), jnp.bool_(False))
     )
     np.testing.assert_allclose(held.pos_w, still.pos_w, atol=1e-6)
     np.testing.assert_allclose(held.pos_w[spec.garment.anchors], at, atol=1e-6)

@@ -260,3 +260,11 @@ def test_a_bowl_without_a_trough_is_round() -> None:
     p = cloud([0, 0, 0.01], 0.03)
     turned = p[:, [1, 0, 2]] * [-1, 1, 1]
     np.testing.assert_allclose(dish.wall(*xyz(p))[0], dish.wall(*xyz(turned))[0], atol=1e-6)
+
+
+def test_a_vessel_that_leaves_something_out_is_refused_by_name() -> None:
+    class Thimble(Cup):
+        reach = Vessel.reach
+
+    with pytest.raises(TypeError, match=r"Thimble.*reach"):
+        Thimble(floor=0.01, floor_radius=0.01, rim_radius=0.01, rim_height=0.02, thickness=0.001)

@@ -108,7 +108,7 @@ def step(
         anchors_start: where the anchors are at its beginning, world [m] (a, 3).
         anchors_end: at its end.
         dt: its length [s].
-        held: 1.0 while the anchors hold the cloth, 0.0 when it was let go (); they do if left out.
+        held: whether the anchors hold the cloth, () bool; they do if left out.
 
     Returns:
         cloth, and what the solids felt. A vertex counts for the solid that it touched last.
@@ -182,7 +182,8 @@ def _stretch(spec: ClothSpec, pos_w: Array) -> Array:
 def give_way(slid: Array, touch: Touch, dt: float) -> Array:
     """How far cloth has slid through the fingers that hold it, a physics step later [m] (3,).
 
-    Where it is stretched beyond ``HELD`` it slides towards what pulls; else the fingers gather it in again.
+    Where it is stretched beyond ``HELD`` it slides towards what pulls; else the fingers gather it in again. What
+    is out of the hand stays so.
 
     Args:
         slid: from where the hand would have the anchors to where they are [m] (3,).
@@ -193,7 +194,12 @@ def give_way(slid: Array, touch: Touch, dt: float) -> Array:
     away = jnp.sqrt(jnp.maximum(jnp.sum(slid**2), TINY))
     out = touch.grip_w / pull * (SLIDES * jnp.clip(-spare, 0.0, 1.0) * dt)
     back = slid / away * jnp.minimum(away, GATHERS * jnp.maximum(spare, 0.0) * dt)
-    return slid - out - back
+    return jnp.where(in_hand(slid), slid - out - back, slid)
+
+
+def in_hand(slid: Array) -> Array:
+    """Whether fingers still hold cloth of which so much has slid through them [m] (3,)."""
+    return jnp.linalg.norm(slid) <= LET_GO
 
 
 def _finite(x: Array) -> Array:
@@ -209,13 +215,13 @@ def _fall(spec: ClothSpec, pos: Xyz, vel: Xyz, h: float) -> Xyz:
 def _free(spec: ClothSpec, held: Array | None) -> Array:
     """1 for vertices that nothing holds (n,)."""
     loose = jnp.asarray(spec.held < 0, jnp.float32)
-    return loose if held is None else jnp.maximum(loose, 1.0 - held)
+    return loose if held is None else jnp.where(held, loose, 1.0)
 
 
 def _hold(spec: ClothSpec, pos: Xyz, anchors: Xyz, held: Array | None) -> Xyz:
     """Anchored vertices where the gripper has them."""
     slot = np.maximum(spec.held, 0)
-    there = spec.held >= 0 if held is None else (spec.held >= 0) & (held > 0)
+    there = spec.held >= 0 if held is None else (spec.held >= 0) & held
     return each(lambda x, a: jnp.where(there, _take(a, slot), x), pos, anchors)
 
 
@@ -225,8 +231,8 @@ def _relaxation(spec: ClothSpec, h: float, held: Array | None):
     pulled = jnp.asarray(spec.held < 0, jnp.float32)
     if held is not None:
         loose = _all_shares(spec, np.zeros(spec.count, bool), h)
-        hinge, edge = (jnp.where(held > 0, a, b) for a, b in zip((hinge, edge), loose, strict=True))
-        pulled = held * pulled
+        hinge, edge = (jnp.where(held, a, b) for a, b in zip((hinge, edge), loose, strict=True))
+        pulled = jnp.where(held, pulled, 0.0)
     rows = range(len(edge))
 
     def relax(pos: Xyz, anchors: Xyz) -> Xyz:

@@ -7,7 +7,7 @@ Everything is for one world, in world coordinates, [m].
 DEVIATION(sleeve-now): what the sleeve is on counts, or was on within the last 0.5 s: in a pull round the elbow it
 is on neither segment for 0.2 to 0.4 s. AG's flags stay set for the rest of the episode, so that a sleeve that has
 once been on the forearm is paid for wherever it is: PPO learned to put it on, take it off and hold it beside the
-elbow (49 % success in 1,000 people, no arm in a sleeve).
+elbow. In 24 episodes of that policy no arm was in the sleeve at the end, and 9 counted as a success.
 """
 
 from __future__ import annotations

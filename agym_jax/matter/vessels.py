@@ -15,6 +15,7 @@ a flat floor and a spherical dish with a trough; their inner faces differ by up 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,8 +30,11 @@ AG_TO_VESSEL = (0.5**0.5, 0.5**0.5, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Vessel:
+class Vessel(ABC):
     """What a cup and a bowl share. Points are given by coordinates in the vessel's frame [m].
+
+    A vessel of your own says where its mid-surface is: Python refuses to make one that leaves out any of the
+    abstract members, and names them.
 
     Attributes:
         thickness: of the wall [m].
@@ -44,32 +48,32 @@ class Vessel:
         return 0.0
 
     @property
+    @abstractmethod
     def brim(self) -> tuple[float, float]:
         """Radius and height at which the mid-surface ends [m]."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def depth(self) -> float:
         """From the lowest point of the inside up to the rim's inner edge [m]."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def volume(self) -> float:
         """Of the inside, up to the rim [m^3]."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def mouth_area(self) -> float:
         """Of the opening [m^2]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def nearest(self, radius: Array, height: Array) -> tuple[Array, Array]:
         """Radius and height of the point of the mid-surface that is nearest [m] (...)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def reach(self, height: Array) -> Array:
         """Radius of the mid-surface at a height; negative below it [m] (...)."""
-        raise NotImplementedError
 
     def polar(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Radius and its unit direction (x, y) from the axis, or from the trough's middle line (...)."""

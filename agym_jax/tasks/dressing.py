@@ -91,7 +91,6 @@ class DressState:
     cloth: Cloth
     heading: Array  # of the gown, about world z [rad]                          ()
     slid: Array  # how far it has slid through the fingers, world [m]           (3,)
-    held: Array  # 1.0 until it is out of the hand                              ()
     on_arm: sleeve.Worn  # what the sleeve is on or was on just now
     dressed: Array  # AG's r_dress, now [m]                                     ()
     best: Array  # the best of it so far [m]                                    ()
@@ -197,7 +196,6 @@ class Dressing:
             cloth=fabrics.initial(self.spec, sensed.tool.pos_w - BELOW_HAND * UP),
             heading=zero,
             slid=jnp.zeros(3),
-            held=jnp.float32(1.0),
             on_arm=sleeve.Worn(nowhere, nowhere),
             dressed=zero,
             best=jnp.float32(-jnp.inf),
@@ -224,23 +222,21 @@ class Dressing:
         radius = jnp.concatenate([radius, jnp.full(2, ARMREST_RADIUS)])
 
         def one(carry: tuple, moment: tuple) -> tuple[tuple, Touch]:
-            cloth, heading, slid, held = carry
+            cloth, heading, slid = carry
             (a0, b0, hand0), (a1, b1, hand1) = moment
             after = swivel(heading, hand1 - hand0)
             cloth, touch = fabrics.step(
                 self.spec, cloth, Capsules(a0, b0, radius), Capsules(a1, b1, radius),
                 held_at(self.spec, hand0 + slid, heading), held_at(self.spec, hand1 + slid, after),
-                self.control.time_step, held,
+                self.control.time_step, fabrics.in_hand(slid),
             )  # fmt: skip
-            slid = jnp.where(held > 0, fabrics.give_way(slid, touch, self.control.time_step), slid)
-            held = held * (jnp.linalg.norm(slid) <= fabrics.LET_GO)
-            return (cloth, after, slid, held), touch
+            return (cloth, after, fabrics.give_way(slid, touch, self.control.time_step)), touch
 
         way = a, b, motion.tool_pos_w
         moments = tuple(x[:-1] for x in way), tuple(x[1:] for x in way)
-        carry = state.cloth, state.heading, state.slid, state.held
-        (cloth, heading, slid, held), touch = jax.lax.scan(one, carry, moments)
-        return replace(state, cloth=cloth, heading=heading, slid=slid, held=held), touch
+        carry = state.cloth, state.heading, state.slid
+        (cloth, heading, slid), touch = jax.lax.scan(one, carry, moments)
+        return replace(state, cloth=cloth, heading=heading, slid=slid), touch
 
     def _judge(self, state: DressState, sensed: Sensed) -> DressState:
         """How far up the arm the opening is."""
@@ -292,12 +288,12 @@ class Dressing:
     @property
     def hidden_size(self) -> int:
         """Entries of ``hidden``."""
-        return 11
+        return 10
 
     def hidden(self, state: DressState) -> Array:
         """What the sleeve is on, how far, and where its opening is from what is held (hidden_size,)."""
         on, pos = state.on_arm, state.cloth.pos_w
-        flags = [on.forearm, on.upper_arm, on.unseen / sleeve.REMEMBERED, state.dressed, state.held]
+        flags = [on.forearm, on.upper_arm, on.unseen / sleeve.REMEMBERED, state.dressed]
         off = pos[self.watched].mean((0, 1)) - pos[self.spec.garment.anchors].mean(0)
         return jnp.concatenate(
             [jnp.stack([jnp.asarray(x, jnp.float32) for x in flags]), off, state.slid]

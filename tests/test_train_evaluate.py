@@ -21,6 +21,7 @@ from train.algorithm import policy_of
 from train.alone import evaluate_alone
 from train.configs import PPOConfig
 from train.errors import (
+    ConfigError,
     PolicyDamagedError,
     PolicyEnvironmentError,
     PolicyLayoutError,
@@ -192,6 +193,11 @@ def test_one_world_after_another_finds_what_it_should(policy):
     native.impl = "native"  # what cannot be batched is evaluated so
     again = evaluate.evaluate(native, policy, 3, jax.random.PRNGKey(5))
     np.testing.assert_array_equal(again.returns, found.returns)
+
+
+def test_no_episodes_are_refused(policy):
+    with pytest.raises(ConfigError, match="num_episodes must be at least 1, got 0"):
+        evaluate.evaluate(FakeEnv(), policy, 0)
 
 
 def test_only_the_first_episode_of_a_world_counts_and_nan_is_seen():

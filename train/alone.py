@@ -1,6 +1,6 @@
 """Evaluation of one world after another, for physics that JAX cannot batch: C MuJoCo.
 
-Nothing of the environment has to be compiled, and a laptop steps hundreds of times a second.
+Only the parts around the physics are compiled, in seconds.
 """
 
 from __future__ import annotations

@@ -22,6 +22,7 @@ from train.acting import TREES, AnyPolicy, baseline_policy, find_policies, load_
 from train.alone import evaluate_alone
 from train.configs import Count
 from train.envs import make_env, vectorize
+from train.errors import ConfigError
 from train.npz import check_writable
 from train.record import append_record, record
 from train.score import EvaluationResult, add_step, result_of, zero_sums
@@ -86,7 +87,12 @@ def evaluate(
         key: random key or seed.
         impl: physics, if ``env`` is an id.
         deterministic: take the mode of the policy's distribution.
+
+    Raises:
+        ConfigError: less than one episode.
     """
+    if num_episodes < 1:
+        raise ConfigError(f"num_episodes must be at least 1, got {num_episodes}.")
     env = make_env(env, impl) if isinstance(env, str) else env
     if isinstance(policy, str):
         policy = baseline_policy(policy, env.action_size)

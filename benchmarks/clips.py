@@ -15,6 +15,7 @@ import jax
 import numpy as np
 from PIL import Image, ImageDraw
 
+from agym_jax.errors import did_you_mean
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
 from train.acting import find_policies, load_policies
@@ -103,12 +104,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     jax.config.update("jax_platforms", "cpu")
     there = sorted(path.stem for path in POLICIES.glob("*-v0.npz"))
     names = (sys.argv[1:] if arguments is None else list(arguments)) or there
-    unknown = [name for name in names if name not in there]
+    unknown = next((name for name in names if name not in there), None)
     if unknown:
-        print(
-            f"No policy ships for {', '.join(unknown)}; there are: {', '.join(there)}.",
-            file=sys.stderr,
-        )
+        print(f"No policy ships for {unknown!r}. {did_you_mean(unknown, there)}", file=sys.stderr)
         return 2
     CLIPS.mkdir(parents=True, exist_ok=True)
     for i, name in enumerate(names):

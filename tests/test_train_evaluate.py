@@ -228,8 +228,12 @@ def test_the_command_line_evaluates_and_records(tmp_path, capsys, policy):
     (line,) = [json.loads(line) for line in out.read_text().splitlines()]
     assert line["kind"] == "evaluation" and line["env"] == "FakeReach-v0" and line["episodes"] == 6
     assert {"commit", "device", "versions", "time", "success", "success_low"} <= line.keys()
-    assert evaluate.main(["--env-name", "Nope-v0", "--load-dir", str(tmp_path)]) == 2
+    words = ["--env-name", "ReachingJaco-v0", "--load-dir", str(tmp_path)]
+    assert evaluate.main(words, lambda *_: FakeEnv()) == 2
     assert "PolicyNotFoundError" in capsys.readouterr().err
+    assert evaluate.main(["--env-name", "ReechingJaco-v0", "--load-dir", str(tmp_path)]) == 2
+    text = capsys.readouterr().err  # of a wrong id, not of a policy that is missing for it
+    assert "UnknownNameError" in text and "Did you mean 'ReachingJaco-v0'" in text
 
 
 def test_baselines_are_named():

@@ -218,8 +218,8 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
     warnings.simplefilter("default")
     try:
         _check_outputs(config)
+        env = make(config.env_name, config.impl)  # first: it knows which ids there are
         files = find_policies(config.env_name, config.load_dir, config.policy, config.person_policy)
-        env = make(config.env_name, config.impl)
         if config.looks != "primitives":  # before anything is compiled
             check_looks(config.looks, env.robot)
         play(config, env, load_policies(files, env, config.any_env))

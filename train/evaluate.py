@@ -135,8 +135,8 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
     try:
         if config.json:
             check_writable(Path(config.json).parent, "Choose another file with --json.")
+        env = make(config.env_name, config.impl)  # first: it knows which ids there are
         files = find_policies(config.env_name, config.load_dir, config.policy, config.person_policy)
-        env = make(config.env_name, config.impl)
         policy = load_policies(files, env, config.any_env)
         result = evaluate(
             env, policy, config.num_episodes, config.seed, deterministic=not config.non_det

@@ -2,6 +2,7 @@
 
 # ruff: noqa: D103
 import operator
+import threading
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ import pytest
 from conftest import compiled_person
 
 import agym_jax
+from agym_jax import mjx_physics, warp_kernels
 from agym_jax.wrappers import vectorize
 
 pytestmark = pytest.mark.warp
@@ -94,3 +96,58 @@ def _deepest_press(env, models) -> np.ndarray:
                 poses.append(c.qpos.copy())
                 break
     return np.stack(poses).astype(np.float32)
+
+
+LIMITS = (mjx_physics.WARP_ROWS_PER_WORLD, mjx_physics.WARP_CONTACTS_PER_WORLD)
+
+
+@pytest.fixture(scope="module")
+def warp_model():
+    """A scene's model with the limits that our physics sets, and MuJoCo Warp's of it."""
+    from mujoco.mjx.third_party import mujoco_warp
+
+    model = agym_jax.make("ReachingSawyer-v0", impl="jax").scene.model
+    return model, mujoco_warp.put_model(model)
+
+
+def test_a_step_compiles_nothing_that_was_not_foreseen(warp_model):
+    import warp
+    from mujoco.mjx.third_party import mujoco_warp
+
+    model, put = warp_model
+    foreseen = warp_kernels.launched(model, *LIMITS, put.opt.warn_overflow)
+    assert len(foreseen) > 20
+    warp_kernels.compile_kernels(model, *LIMITS, put.opt.warn_overflow)
+    built = {module: set(module.execs) for module, _ in foreseen}
+    assert all(built.values())
+    data = mujoco_warp.make_data(model, 2, naconmax=2 * LIMITS[1], njmax=LIMITS[0])
+    loaded = []
+    load = warp._src.context.Module.load
+
+    def spy(module, *args, **kwargs):
+        if not module.execs:
+            loaded.append(module.name)
+        return load(module, *args, **kwargs)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(warp._src.context.Module, "load", spy)
+        mujoco_warp.step(put, data)
+    assert loaded == []
+    assert data.time.numpy() == pytest.approx([model.opt.timestep] * 2)  # it did step
+
+
+def test_to_foresee_a_step_launches_nothing_but_lets_other_threads_go_on(warp_model):
+    import warp
+    from mujoco.mjx.third_party import mujoco_warp
+
+    model, put = warp_model
+    data = mujoco_warp.make_data(model, 1, naconmax=LIMITS[1], njmax=LIMITS[0])
+    noted: dict = {}
+    with warp_kernels._noting(noted):
+        mujoco_warp.step(put, data)
+        assert data.time.numpy() == 0.0
+        other = threading.Thread(target=mujoco_warp.step, args=(put, data))
+        other.start()
+        other.join()
+    assert data.time.numpy() == pytest.approx(model.opt.timestep)
+    assert warp.launch.__module__.startswith("warp")  # and it is Warp's own again

@@ -12,12 +12,13 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
-from jax.sharding import Mesh
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from agym_jax.errors import AgymError
 from train import record
@@ -220,10 +221,18 @@ def _compile(
         learner, key = everywhere(mesh, (learner, key))
     # TF32 hurts small networks; ``command_line`` sets it for all else.
     with jax.default_matmul_precision("highest"):
-        reset = jax.jit(first).lower(key).compile()
-        worlds = reset(key)
-        run = jax.jit(run).lower(learner, worlds, np.int32(1), np.float32(1)).compile()
-        return learner, jax.block_until_ready(worlds), run
+        reset = jax.jit(first).lower(key)
+        worlds = jax.tree.map(lambda x: _described(x, mesh), reset.out_info)
+        update = jax.jit(run).lower(learner, worlds, np.int32(1), np.float32(1))
+        with ThreadPoolExecutor(2) as pool:  # XLA compiles outside of Python's lock
+            begin, go = pool.map(lambda lowered: lowered.compile(), (reset, update))
+        return learner, jax.block_until_ready(begin(key)), go
+
+
+def _described(leaf: Any, mesh: Mesh | None) -> jax.ShapeDtypeStruct:
+    """Shape and place of a leaf of the worlds, before there is one."""
+    place = NamedSharding(mesh, PartitionSpec(AXIS)) if mesh else None
+    return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=place)
 
 
 def _say_resumed(

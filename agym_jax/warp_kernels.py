@@ -1,0 +1,102 @@
+"""Kernels of MuJoCo Warp, compiled side by side.
+
+Warp compiles a kernel when it is first launched, and so one after another: on a machine that has
+none in its cache, the first step of a GPU waits 55 s for them. ``compile_kernels`` goes through a
+step without launching anything, notes what it would launch, and compiles that on all cores.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import mujoco
+
+Build = tuple[Any, int]  # a module of kernels, and threads in a block
+BLOCK = 256  # Warp's default of the latter on a GPU
+
+
+def compile_kernels(model: mujoco.MjModel, rows: int, contacts: int, warn_overflow: int) -> None:
+    """Have what stepping a model takes on JAX's first device compiled and loaded.
+
+    Args:
+        model: with the solver's limits as they will be.
+        rows: of constraints, for each world.
+        contacts: for each world.
+        warn_overflow: as in MuJoCo Warp's options.
+    """
+    import warp
+
+    device = warp.device_from_jax(jax.local_devices()[0])
+    with warp.ScopedDevice(device):
+        builds = launched(model, rows, contacts, warn_overflow)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for done in [pool.submit(module.load, device, block) for module, block in builds]:
+            done.result()
+
+
+def launched(
+    model: mujoco.MjModel, rows: int, contacts: int, warn_overflow: int
+) -> dict[Build, None]:
+    """What a step of MuJoCo Warp would launch on Warp's current device, in order. See ``compile_kernels``."""
+    from mujoco.mjx.third_party import mujoco_warp
+
+    builds: dict[Build, None] = {}
+    with _noting(builds):
+        put = mujoco_warp.put_model(model)
+        put.opt.warn_overflow = warn_overflow
+        mujoco_warp.step(put, mujoco_warp.make_data(model, 1, naconmax=contacts, njmax=rows))
+    return builds
+
+
+@contextlib.contextmanager
+def _noting(builds: dict[Build, None]) -> Iterator[None]:
+    """In this thread, note kernels instead of launching them, and go once through every loop."""
+    import warp
+
+    here = threading.get_ident()
+
+    def launch(
+        kernel: Any, dim: int | Sequence[int], inputs: Sequence = (), outputs: Sequence = (),
+        device: Any = None, block_dim: int | None = None, **_: Any,
+    ) -> None:  # fmt: skip
+        if math.prod(dim if isinstance(dim, Sequence) else (dim,)) == 0:
+            return
+        if kernel.is_generic:
+            kernel = kernel.add_overload(kernel.infer_argument_types([*inputs, *outputs]))
+        threads = 1 if warp.get_device(device).is_cpu else block_dim or BLOCK
+        builds[kernel.module, threads] = None
+
+    def once(
+        condition: Any, while_body: Callable | None = None, on_true: Callable | None = None,
+        on_false: Callable | None = None, **arguments: Any,
+    ) -> None:  # fmt: skip
+        for body in (while_body, on_true, on_false):
+            if body:
+                body(**arguments)
+
+    instead = {
+        "launch": launch, "launch_tiled": launch, "capture_while": once, "capture_if": once,
+    }  # fmt: skip
+    originals = {name: getattr(warp, name) for name in instead}
+
+    def chosen(name: str) -> Callable:
+        def call(*args: Any, **kwargs: Any) -> Any:
+            ours = threading.get_ident() == here
+            return (instead if ours else originals)[name](*args, **kwargs)
+
+        return call
+
+    try:
+        for name in instead:
+            setattr(warp, name, chosen(name))
+        yield
+    finally:
+        for name, original in originals.items():
+            setattr(warp, name, original)

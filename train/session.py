@@ -18,28 +18,25 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh
 
 from agym_jax.errors import AgymError
-from train import record
 from train.algorithm import Algorithm
-from train.checkpoint import load_newest, save_checkpoint
 from train.configs import Config, LearnConfig, parse_arguments, resolve, updates_in
 from train.curve import Row, check_row, make_row
 from train.envs import make_env, vectorize
 from train.hosts import check_agreement, join_hosts, wait_for_hosts
+from train.keeper import Keeper, Policies
 from train.npz import check_writable
-from train.policy import Policy
 from train.progress import Progress, Silent, for_terminal
 from train.result import TrainResult, summary
 from train.rollout import Worlds, first_worlds
 from train.run_folder import RunFolder
 from train.stepwise import StepwiseEnv, start_stepwise
-from train.updates import AXIS, device_mesh, everywhere, here, make_updates, spread
+from train.updates import AXIS, device_mesh, everywhere, here, make_updates, places, spread
 
 SAVE_PERIOD = 60.0  # seconds after which a checkpoint is due at the next log line
 UNIMPORTANT = ("save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts")
-Policies = Mapping[str, Policy]
 OnLog = Callable[[Row, Callable[[], Policies]], bool | None]
 
 
@@ -85,38 +82,16 @@ def run_session(
     start = time.perf_counter()
     venv = vectorize(env, config.num_processes // config.devices)
     key_learner, key_worlds = jax.random.split(jax.random.PRNGKey(config.seed))
-    learner = jax.jit(algorithm.init)(key_learner)
-    belongs = {
-        "trainer": algorithm.trainer,
-        "env": env.name,
-        "layout": env.layout_version,
-        **algorithm.belongs(),
-    }
-    info = {
-        "env": env.name,
-        "commit": record.commit(),
-        "versions": record.versions(),
-        "algorithm": algorithm.trainer,
-    }
+    keeper = Keeper(env, config, algorithm, folder, writes=speaks)
+    learner, meta = keeper.resume(jax.jit(algorithm.init)(key_learner))
+    first_steps = int(learner.env_steps)
+    if meta:
+        _say_resumed(progress, meta, config, first_steps)
+    check_agreement("the step to go on from", first_steps, "They need a common --save-dir.")
+    keeper.begin(first_steps)
+
     batch = config.num_processes * config.num_steps
     total_steps = updates_in(config.num_env_steps, batch) * batch
-    curve: list[Row] = []
-    seconds_before = 0.0
-    if folder and (found := load_newest(folder.checkpoints, learner, belongs)):
-        learner, curve = found.learner, found.meta["curve"]
-        seconds_before = found.meta["seconds"]
-        _say_resumed(progress, found.meta, config, int(learner.env_steps))
-    first_steps = int(learner.env_steps)
-    check_agreement("the step to go on from", first_steps, "They need a common --save-dir.")
-    folder = folder if speaks else None
-    if folder:
-        folder.write_curve(curve)
-        folder.write_config(
-            config,
-            resumed_from_step=first_steps or None,
-            impl=str(getattr(env, "impl", config.impl)),
-        )
-
     worlds: Any = None
     run: Any = None
     if first_steps < total_steps:
@@ -129,20 +104,6 @@ def run_session(
     else:
         progress.say("This run is complete; raise --num-env-steps to go on.")
     compile_seconds = time.perf_counter() - start
-
-    def policies(learner: Any) -> dict[str, Policy]:
-        return algorithm.policies(here(learner), info)
-
-    def save(learner: Any, seconds: float) -> None:
-        if folder:
-            meta = {
-                "belongs": belongs,
-                "curve": curve,
-                "seconds": seconds_before + seconds,
-                "config": dataclasses.asdict(config),
-            }
-            save_checkpoint(folder.checkpoints, learner, meta)
-            folder.save_policies(policies(learner))
 
     progress.start(first_steps, total_steps)
     length = np.float32(total_steps)
@@ -160,45 +121,40 @@ def run_session(
             nan_steps += int(row["nan"])
             row |= {
                 "env_steps": env_steps + count * batch,
-                "seconds": seconds_before + now - start,
+                "seconds": keeper.seconds + now - start,
                 "steps_per_second": count * batch / (now - began),
                 "nan_total": nan_steps,
             }
             check_row(row, env.name, config.num_processes)
             learner, env_steps = next_learner, env_steps + count * batch
-            curve.append(row)
-            if folder:
-                folder.add_row(row)
+            keeper.add(row)
             progress.update(row)
             since_save += count
             due = since_save >= config.save_interval or now - last_save > SAVE_PERIOD
-            if on_log and on_log(row, lambda kept=learner: policies(kept)):
+            if on_log and on_log(row, lambda kept=learner: keeper.policies(kept)):
                 interrupted = env_steps < total_steps
             if due or interrupted or env_steps >= total_steps:
-                save(learner, now - start)
+                keeper.save(learner, now - start)
                 saved_at, since_save, last_save = env_steps, 0, time.perf_counter()
     except KeyboardInterrupt:
         interrupted = True
         if env_steps > saved_at:
-            save(learner, time.perf_counter() - start)
+            keeper.save(learner, time.perf_counter() - start)
     finally:
         progress.stop()
     train_seconds = time.perf_counter() - start
-    if folder:
-        folder.save_policies(policies(learner))
-        folder.draw(curve, f"{env.name}, {algorithm.trainer}, seed {config.seed}")
     return TrainResult(
-        policies=policies(learner),
+        policies=keeper.finish(learner),
         learner=here(learner),
         config=config,
-        curve=curve,
+        curve=keeper.curve,
         env_steps=env_steps,
         session_steps=env_steps - first_steps,
         compile_seconds=compile_seconds,
         train_seconds=train_seconds,
         nan_steps=nan_steps,
         interrupted=interrupted,
-        folder=folder.path if folder else None,
+        folder=folder.path if folder and speaks else None,
     )
 
 
@@ -216,23 +172,23 @@ def _compile(
         return first_worlds(venv, key, config.stagger)
 
     run = make_updates(venv, config, algorithm, AXIS if mesh else None)
+    common = own = None
     if mesh:
+        common, own = places(mesh)
         first, run = spread(mesh, first, run)
         learner, key = everywhere(mesh, (learner, key))
     # TF32 hurts small networks; ``command_line`` sets it for all else.
     with jax.default_matmul_precision("highest"):
-        reset = jax.jit(first).lower(key)
-        worlds = jax.tree.map(lambda x: _described(x, mesh), reset.out_info)
-        update = jax.jit(run).lower(learner, worlds, np.int32(1), np.float32(1))
+        # XLA would leave Warp's empty buffers anywhere, so every place is said.
+        reset = jax.jit(first, out_shardings=own).lower(key)
+        worlds = jax.tree.map(
+            lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=own), reset.out_info
+        )
+        update = jax.jit(run, out_shardings=(common, own, common))
+        update = update.lower(learner, worlds, np.int32(1), np.float32(1))
         with ThreadPoolExecutor(2) as pool:  # XLA compiles outside of Python's lock
             begin, go = pool.map(lambda lowered: lowered.compile(), (reset, update))
         return learner, jax.block_until_ready(begin(key)), go
-
-
-def _described(leaf: Any, mesh: Mesh | None) -> jax.ShapeDtypeStruct:
-    """Shape and place of a leaf of the worlds, before there is one."""
-    place = NamedSharding(mesh, PartitionSpec(AXIS)) if mesh else None
-    return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=place)
 
 
 def _say_resumed(

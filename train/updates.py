@@ -147,9 +147,14 @@ def spread(mesh: Mesh, first: Callable[[jax.Array], Worlds], run: Run) -> tuple[
     )
 
 
+def places(mesh: Mesh) -> tuple[NamedSharding, NamedSharding]:
+    """Where what all devices share lives, and where what each has of its own."""
+    return NamedSharding(mesh, PartitionSpec()), NamedSharding(mesh, PartitionSpec(AXIS))
+
+
 def everywhere(mesh: Mesh, tree: Any) -> Any:
     """A tree that all hosts have, as one that every device has."""
-    return jax.device_put(jax.device_get(tree), NamedSharding(mesh, PartitionSpec()))
+    return jax.device_put(jax.device_get(tree), places(mesh)[0])
 
 
 def here(tree: Any) -> Any:

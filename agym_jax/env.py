@@ -29,6 +29,7 @@ from agym_jax.errors import ActionError
 from agym_jax.person import draw
 from agym_jax.physics import build_physics, check_traceable, choose_impl
 from agym_jax.placement import load_bank
+from agym_jax.precision import full_precision
 from agym_jax.raycast import Marker
 from agym_jax.scene import build_scene, compose, draw_surfaces
 from agym_jax.sense import Motion, Sensed, Touch, at_rest, no_touch, sense
@@ -133,6 +134,7 @@ class AssistiveEnv:
 
     # -- the two pure functions ----------------------------------------------------------------
 
+    @full_precision
     def reset(self, rng: Array) -> State:
         """A new person, a new goal, the robot at a new start.
 
@@ -141,6 +143,7 @@ class AssistiveEnv:
         """
         return self._begin(self.physics.blank(), rng)
 
+    @full_precision
     def restart(self, state: State, where: Array) -> State:
         """Begin a new episode if ``where``; cheap, and safe for all implementations.
 
@@ -152,6 +155,7 @@ class AssistiveEnv:
         fresh = self._begin(state.data, key, where=where, old=state)
         return fresh.replace(key=jnp.where(where, key_next, state.key))
 
+    @full_precision
     def step(self, state: State, action: Array) -> State:
         """One control step of 0.1 s.
 
@@ -180,6 +184,7 @@ class AssistiveEnv:
             episode=dataclasses.replace(state.episode, person_target=orders.hold, step=judged.step),
         )
 
+    @full_precision
     def hidden(self, state: State) -> Array:
         """What rewards to come depend on and nobody observes, for value functions (hidden_size,)."""
         return self.task.hidden(state.task) if isinstance(self.task, Privileged) else jnp.zeros(0)

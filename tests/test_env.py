@@ -328,3 +328,30 @@ def test_stagger_spreads_the_clocks(worlds: Worlds, rollout: Rollout):
     assert steps.dtype == np.int32 and (steps >= 0).all() and (steps < 200).all()
     assert len(set(steps)) >= BATCH - 1
     assert jax.tree.structure(state) == jax.tree.structure(rollout.first)
+
+
+def _products(jaxpr) -> list:
+    """All matrix products in a program, those of inner programs included."""
+    found = []
+    for equation in jaxpr.eqns:
+        if equation.primitive.name == "dot_general":
+            found.append(equation)
+        for inner in jax.core.jaxprs_in_params(equation.params):
+            found += _products(inner)
+    return found
+
+
+@pytest.mark.parametrize("name", ["ScratchItchJaco-v0", "DrinkingSawyer-v0"])
+def test_products_are_never_rounded_to_tf32(name: str):
+    assert jax.config.jax_default_matmul_precision is None  # what users leave it at
+    env = agym_jax.make(name, impl="jax")
+    state = jax.eval_shape(env.reset, jax.random.PRNGKey(0))
+    programs = {
+        "reset": jax.make_jaxpr(env.reset)(jax.random.PRNGKey(0)),
+        "step": jax.make_jaxpr(env.step)(state, jnp.zeros(env.action_size)),
+    }
+    for program in programs.values():
+        products = _products(program.jaxpr)
+        assert len(products) > 10
+        highest = jax.lax.Precision.HIGHEST
+        assert all(x.params["precision"] == (highest, highest) for x in products)

@@ -126,8 +126,8 @@ def test_worlds_that_devices_cannot_share_get_a_suggestion():
 def test_automatic_settings_depend_on_the_machine():
     assert resolve(PPOConfig(), "cpu").num_processes == 64
     config = resolve(PPOConfig(), "gpu")
-    assert config.num_processes == 1024
-    lines = 10_000_000 / (1024 * config.num_steps * config.log_interval)
+    assert config.num_processes == 2048
+    lines = 10_000_000 / (2048 * config.num_steps * config.log_interval)
     assert 40 < lines < 160
     assert config.save_interval % config.log_interval == 0
 

@@ -13,7 +13,7 @@ from brax.training.agents.ppo.losses import compute_gae as brax_gae
 
 from train.advantage import compute_gae, values_of
 from train.configs import PPOConfig
-from train.learner import LOSSES, architecture, init_learner, ppo_loss
+from train.learner import LOSSES, architecture, init_learner, learn, ppo_loss
 from train.networks import make_networks, sample_action
 from train.rollout import Batch
 
@@ -130,3 +130,27 @@ def test_a_new_learner_has_strong_types_so_that_a_restored_one_needs_no_new_comp
         jax.random.PRNGKey(0)
     )
     assert not any(leaf.weak_type for leaf in jax.tree.leaves(learner))
+
+
+def test_the_entropy_bonus_fades_where_it_is_asked_to():
+    rows = np.random.default_rng(0).normal(size=(5, 4))
+    batch = make_batch(rows, rows, rows * 0, rows * 0, rows)
+
+    def after(step: int, **settings):
+        config = PPOConfig(policy_hidden=(8,), value_hidden=(8,), num_mini_batch=1, ppo_epoch=2,
+                           distribution="normal", use_linear_lr_decay=False, **settings)  # fmt: skip
+        arch = architecture(config, 1, 1)
+        learner = init_learner(config, arch, jax.random.PRNGKey(1))
+        learner = dataclasses.replace(learner, env_steps=jnp.uint32(step))
+        learner, _ = learn(learner, batch, batch.obs[-1], jax.random.PRNGKey(2), config,
+                           make_networks(arch), jnp.float32(100))  # fmt: skip
+        return jax.tree.leaves(learner.params)
+
+    def same(a, b):
+        return all(np.allclose(x, y, atol=1e-7) for x, y in zip(a, b, strict=True))
+
+    half, fades = {"entropy_coef": 0.5}, {"entropy_coef": 1.0, "use_linear_entropy_decay": True}
+    assert same(after(0, **fades), after(0, entropy_coef=1.0))
+    assert same(after(50, **fades), after(0, **half))
+    assert same(after(100, **fades), after(0))
+    assert not same(after(0), after(0, **half))

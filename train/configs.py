@@ -99,6 +99,8 @@ class LearnConfig:
     """Weight of the value loss (which itself carries another 0.5)."""
     entropy_coef: float = 0.0
     """Weight of the entropy bonus."""
+    use_linear_entropy_decay: bool = False
+    """Let the entropy bonus fall linearly to zero over the run: first look around, then settle."""
     privileged_critic: bool = True
     """Let the value functions, in training only, see what rewards to come depend on and nobody
     observes, such as how much water is left in the cup. The policies never see it."""
@@ -227,16 +229,16 @@ _MANY_STROKES: dict[str, Any] = (
 TASK_CHANGES: dict[str, dict[str, Any]] = {
     "ScratchItch": _MANY_STROKES,
     "ScratchItchBaxter": _MANY_STROKES | {"entropy_coef": 0.006},
-    "ScratchItchJaco": _STROKES,
+    "ScratchItchJaco": _MANY_STROKES | {"use_linear_entropy_decay": True},
     "BedBathing": _TOUCH,
     "Feeding": _SLOW,
-    "Drinking": _SLOW | _LARGE,
+    "Drinking": _SLOW | _LARGE | {"entropy_coef": 0.01, "use_linear_entropy_decay": True},
     "Dressing": _SLOW,
     "ArmManipulation": _TOUCH | {"gamma": 0.98, "gae_lambda": 0.95},
     "Reaching": _TOUCH | {"lr": 3e-4},
 }
 
-WORLDS = {"ScratchItch": 2048, "ScratchItchJaco": 1024}
+WORLDS = {"ScratchItch": 2048}
 """Worlds on an accelerator, where a task learns best with another number than 4096. Keys as above."""
 LEAST_SAMPLES = 80
 """Of a mini-batch, when ``num_mini_batch`` would make smaller ones of a small batch."""

@@ -102,6 +102,7 @@ def ppo_loss(
     config: LearnConfig,
     networks: Any,
     value_normalizer: Any = None,
+    entropy_coef: float | jax.Array | None = None,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Clipped surrogate, (clipped) value loss and entropy bonus of one mini-batch.
 
@@ -114,6 +115,7 @@ def ppo_loss(
         config: settings.
         networks: from ``make_networks``.
         value_normalizer: statistics of ``value_obs``; None if the value function reads ``obs``.
+        entropy_coef: weight of the entropy now; None for that of ``config``.
 
     Returns:
         The loss, and the scalars named in ``LOSSES``.
@@ -137,7 +139,8 @@ def ppo_loss(
     value_loss = 0.5 * jnp.mean(error)
 
     entropy = jnp.mean(distribution.entropy(logits, key))
-    loss = policy_loss + config.value_loss_coef * value_loss - config.entropy_coef * entropy
+    weight = config.entropy_coef if entropy_coef is None else entropy_coef
+    loss = policy_loss + config.value_loss_coef * value_loss - weight * entropy
     scalars = {
         "policy_loss": policy_loss,
         "value_loss": value_loss,
@@ -217,8 +220,9 @@ def learn(
     data = {name: leaf.reshape(size, *leaf.shape[2:]) for name, leaf in data.items()}
     optimizer = make_optimizer(config)
     progress = learner.env_steps.astype(jnp.float32) / total_steps
-    decay = jnp.maximum(0.0, 1.0 - progress) if config.use_linear_lr_decay else 1.0
-    rate = config.lr * decay
+    left = jnp.maximum(0.0, 1.0 - progress)
+    rate = config.lr * (left if config.use_linear_lr_decay else 1.0)
+    entropy_coef = config.entropy_coef * (left if config.use_linear_entropy_decay else 1.0)
     gradient = jax.grad(ppo_loss, has_aux=True)
 
     def step(carry: tuple, item: tuple) -> tuple[tuple, dict[str, jax.Array]]:
@@ -226,8 +230,9 @@ def learn(
         rows, key = item
         part = {name: leaf[rows] for name, leaf in data.items()}
         grads, scalars = gradient(
-            params, learner.normalizer, part, key, config, networks, learner.value_normalizer
-        )
+            params, learner.normalizer, part, key, config, networks, learner.value_normalizer,
+            entropy_coef,
+        )  # fmt: skip
         changes, state = optimizer.update(mean(grads), state)
         params = jax.tree.map(lambda p, c: p - rate * c, params, changes)
         return (params, state), scalars

@@ -112,7 +112,11 @@ def throughput(folder: Path = RESULTS) -> str:
         "control steps/s, median (range)": lambda x: (
             f"**{x['steps_per_s']:,}** ({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,})"
         ),
-        "start-up": lambda x: f"{x['compile_seconds'] + x['first_call_seconds']:.0f} s",
+        "start-up": lambda x: (
+            ""
+            if x.get("compiled_beside_others")
+            else f"{x['compile_seconds'] + x['first_call_seconds']:.0f} s"
+        ),
         "NaN": lambda x: x["nan"],
     }
     lines = read_results("throughput", ("env", "impl", "num_envs"), folder)
@@ -234,8 +238,9 @@ def training(folder: Path = RESULTS) -> str:
         "start": lambda x: x["start"],
         "wall time, all in": lambda x: f"{x['wall_s']:.0f} s{_sharing(x)}",
         "success at the end": lambda x: f"{x['success']:.0%}",
+        "NaN": lambda x: x.get("nan", ""),
     }
-    lines = read_results("training", ("env", "impl"), folder)
+    lines = read_results("training", ("env", "impl", "start"), folder)
     return table(lines, columns, itemgetter("env", "impl", "seed"))
 
 

@@ -119,7 +119,7 @@ def test_water_is_the_same_on_both():
     # drops push each other, so rounding grows; a drop is 1 cm wide
     np.testing.assert_allclose(pos[:20], pos_jax[:20], atol=1e-3)
     np.testing.assert_allclose(pos, pos_jax, atol=5e-3)
-    assert np.linalg.norm(pos[-1] - pos[0], axis=-1).mean() > 0.1  # and they did travel
+    assert np.linalg.norm(pos[-1] - pos[0], axis=-1).mean() > 0.05  # and they did travel
 
 
 LIMITS = (mjx_physics.WARP_ROWS_PER_WORLD, mjx_physics.WARP_CONTACTS_PER_WORLD)

@@ -171,7 +171,9 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
         "num_processes": config.people,
         "save_dir": str(config.out),
         "seed": config.seed,
-        "lr": 1e-3,  # a short run
+        "lr": 1e-3,  # a short run, of small networks
+        "policy_hidden": (256, 128),
+        "value_hidden": (256, 256),
         "log_interval": 4,
         "fresh": True,
     }

@@ -10,9 +10,7 @@ that begin with ``mjx`` are one world on MJX-JAX, whose ``reset`` and ``step`` a
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -23,7 +21,7 @@ from typing import Any
 
 import tyro
 
-from agym_jax.errors import AgymError
+from benchmarks.child import ChildError, run_child
 
 STEPS = 1000  # after the first, for the speed
 NATIVE = """
@@ -77,21 +75,6 @@ class CpuConfig:
     """File to which the result is added as a JSON line."""
 
 
-class ChildError(AgymError, RuntimeError):
-    """A measuring process that failed."""
-
-
-def _child(code: str, *arguments: str, cache: str) -> Any:
-    """What a fresh process prints as JSON in its last line."""
-    environment = {**os.environ, "AGYM_JAX_CACHE": cache, "JAX_PLATFORMS": "cpu"}
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, env=environment
-    )
-    if done.returncode:
-        raise ChildError(f"A measuring process failed:\n{done.stderr[-2000:]}")
-    return json.loads(done.stdout.strip().splitlines()[-1])
-
-
 def measure_one(code: str, env_name: str) -> dict[str, float]:
     """One world, cold and warm.
 
@@ -101,7 +84,8 @@ def measure_one(code: str, env_name: str) -> dict[str, float]:
     """
     with tempfile.TemporaryDirectory() as cache:
         cold, warm = (
-            _child(code, repr(time.time()), env_name, str(STEPS), cache=cache) for _ in range(2)
+            run_child(code, repr(time.time()), env_name, str(STEPS), AGYM_JAX_CACHE=cache)
+            for _ in range(2)
         )
     return {
         "cold_reset_seconds": round(cold[0], 2),
@@ -117,7 +101,7 @@ def measure(env_name: str, num_envs: int) -> dict[str, Any]:
     load = os.getloadavg()[0]
     one = measure_one(NATIVE, env_name)
     mjx = measure_one(MJX, env_name)
-    batch = _child(BATCH, env_name, str(num_envs), cache="off")
+    batch = run_child(BATCH, env_name, str(num_envs), AGYM_JAX_CACHE="off")
     counted = (
         "steps_per_s", "steps_per_s_min", "steps_per_s_max", "compile_seconds", "nan", "overflow",
     )  # fmt: skip
@@ -136,7 +120,7 @@ def measure(env_name: str, num_envs: int) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(CpuConfig, prog="python -m benchmarks.cpu", args=arguments)
-    os.environ["JAX_PLATFORMS"] = "cpu"  # before the record asks JAX for its device
+    os.environ["JAX_PLATFORMS"] = "cpu"  # for the children, and for the record, which asks JAX
     from train.record import append_record, record
 
     try:

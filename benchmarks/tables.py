@@ -140,6 +140,21 @@ def cpu(folder: Path = RESULTS) -> str:
     return table(lines, columns, itemgetter("env"), note)
 
 
+def compilation(folder: Path = RESULTS) -> str:
+    """How long it takes until training begins."""
+    columns = {
+        "environment": lambda x: x["env"],
+        "on": lambda x: x["device"]["kind"],
+        "physics": lambda x: x["impl"],
+        "worlds": lambda x: f"{x['num_envs']:,}",
+        "start": lambda x: x["start"],
+        "compiling": lambda x: f"{x['compile_s']:.0f} s",
+        "until training begins": lambda x: f"{x['until_training_s']:.0f} s",
+    }
+    lines = read_results("compile", ("env", "impl", "start"), folder)
+    return table(lines, columns, itemgetter("env", "impl", "start"))
+
+
 def nan(folder: Path = RESULTS) -> str:
     """The search for NaN."""
     columns = {
@@ -249,6 +264,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "speed": speed,
     "training": training,
     "throughput": throughput,
+    "compile": compilation,
     "policies": policies,
     "nan": nan,
     "reach": reach,

@@ -7,7 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from benchmarks import compile as starts
 from benchmarks import nan, throughput
+from benchmarks.child import ChildError, run_child
 
 
 def test_percentile_of_a_histogram_is_right_to_a_bin():
@@ -28,4 +30,30 @@ def test_forces_beyond_the_histogram_are_kept_in_its_ends():
 def test_throughput_of_an_unknown_environment_says_what_exists(capsys):
     status = throughput.main(["--env-name", "ScratchItchJacko-v0", "--num-envs", "4"])
     assert status == 2
+    assert "Did you mean 'ScratchItchJaco-v0'" in capsys.readouterr().err
+
+
+def test_a_child_gets_its_variables_and_reports_its_last_line():
+    code = "import json, os, sys; print('noise'); print(json.dumps([sys.argv[1], os.environ['A']]))"
+    assert run_child(code, "b", A="c") == ["b", "c"]
+    with pytest.raises(ChildError, match=r"(?s)measuring process failed.*ZeroDivisionError"):
+        run_child("1 / 0")
+
+
+def test_a_start_is_measured_with_empty_caches_and_with_filled_ones(monkeypatch):
+    seen = []
+
+    def child(code, began, *arguments, **caches):
+        seen.append((arguments, caches))
+        return {"impl": "jax", "num_envs": 64, "compile_s": 2.0, "until_training_s": 3.0}
+
+    monkeypatch.setattr(starts, "run_child", child)
+    rows = list(starts.measure("ReachingJaco-v0", "jax"))
+    assert [row["start"] for row in rows] == ["cold", "warm"]
+    assert seen[0] == seen[1]  # the same caches
+    assert set(seen[0][1]) == {"AGYM_JAX_CACHE", "WARP_CACHE_PATH"}
+
+
+def test_a_start_of_an_unknown_environment_says_what_exists(capsys):
+    assert starts.main(["--env-name", "ScratchItchJacko-v0"]) == 2
     assert "Did you mean 'ScratchItchJaco-v0'" in capsys.readouterr().err

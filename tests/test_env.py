@@ -343,15 +343,18 @@ def _products(jaxpr) -> list:
 
 @pytest.mark.parametrize("name", ["ScratchItchJaco-v0", "DrinkingSawyer-v0"])
 def test_products_are_never_rounded_to_tf32(name: str):
-    assert jax.config.jax_default_matmul_precision is None  # what users leave it at
     env = agym_jax.make(name, impl="jax")
-    state = jax.eval_shape(env.reset, jax.random.PRNGKey(0))
-    programs = {
-        "reset": jax.make_jaxpr(env.reset)(jax.random.PRNGKey(0)),
-        "step": jax.make_jaxpr(env.step)(state, jnp.zeros(env.action_size)),
-    }
-    for program in programs.values():
-        products = _products(program.jaxpr)
-        assert len(products) > 10
-        highest = jax.lax.Precision.HIGHEST
-        assert all(x.params["precision"] == (highest, highest) for x in products)
+    key, action = jax.random.PRNGKey(0), jnp.zeros(env.action_size)
+    state = jax.eval_shape(env.reset, key)
+    highest = (jax.lax.Precision.HIGHEST,) * 2
+
+    def full(function, *arguments) -> list[bool]:
+        with jax.default_matmul_precision("tensorfloat32"):  # whatever the caller has set
+            program = jax.make_jaxpr(function)(*arguments)
+        return [x.params["precision"] == highest for x in _products(program.jaxpr)]
+
+    for found in (full(env.reset, key), full(env.step, state, action)):
+        assert len(found) > 10
+        assert all(found)
+    unguarded = type(env).step.__wrapped__  # ty: ignore
+    assert not all(full(lambda *x: unguarded(env, *x), state, action))

@@ -75,7 +75,6 @@ def add_forces(totals: dict[str, jax.Array], state: Any) -> dict[str, jax.Array]
 
 def search(config: NanConfig) -> dict[str, Any]:
     """Run all steps; returns the fields of the result line."""
-    jax.config.update("jax_default_matmul_precision", "highest")
     key, key_reset = jax.random.split(jax.random.PRNGKey(config.seed))
     venv = make_worlds(config.env_name, config.impl, config.num_envs)
     state = jax.jit(lambda key: first_state(venv, key))(key_reset)

@@ -69,7 +69,6 @@ def measure(
     Returns:
         Fields of the result line.
     """
-    jax.config.update("jax_default_matmul_precision", "highest")
     jax.config.update("jax_enable_compilation_cache", False)
     key, key_reset = jax.random.split(jax.random.PRNGKey(seed))
     chunks = -(-steps // CHUNK)

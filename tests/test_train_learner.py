@@ -115,7 +115,7 @@ def test_the_first_loss_of_an_update_has_ratio_one(distribution):
         "target": value + 3.0,
     }
     loss, scalars = ppo_loss(
-        learner.params, learner.normalizer, data, jax.random.PRNGKey(3), config, networks
+        learner.params, learner.normalizer, data, jax.random.PRNGKey(3), config, networks, 0.0
     )
     assert set(scalars) == set(LOSSES)
     np.testing.assert_allclose(scalars["policy_loss"], -0.5, atol=1e-5)

@@ -164,7 +164,6 @@ def run(config: CrossplayConfig, make: Callable[[str, str], Any] = make_env) -> 
 def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(CrossplayConfig, prog="python -m train.crossplay", args=arguments)
-    jax.config.update("jax_default_matmul_precision", "highest")
     try:
         run(config, make)
     except AgymError as error:

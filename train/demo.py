@@ -195,7 +195,6 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
     """The command line; returns the exit status."""
     config = tyro.cli(DemoConfig, prog="python -m train.demo", args=arguments)
     jax.config.update("jax_platforms", "cpu")
-    jax.config.update("jax_default_matmul_precision", "highest")
     try:
         run(config, make)
     except AgymError as error:

@@ -214,7 +214,6 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
     """The command line; returns the exit status."""
     config = tyro.cli(EnjoyConfig, prog="python -m train.enjoy", args=arguments)
     jax.config.update("jax_platforms", "cpu")  # one world: the accelerator would only be slower
-    jax.config.update("jax_default_matmul_precision", "highest")
     warnings.simplefilter("default")
     try:
         _check_outputs(config)

@@ -131,7 +131,6 @@ class EvaluateConfig:
 def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(EvaluateConfig, prog="python -m train.evaluate", args=arguments)
-    jax.config.update("jax_default_matmul_precision", "highest")
     try:
         if config.json:
             check_writable(Path(config.json).parent, "Choose another file with --json.")

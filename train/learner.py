@@ -101,8 +101,8 @@ def ppo_loss(
     key: jax.Array,
     config: LearnConfig,
     networks: Any,
+    entropy_coef: float | jax.Array,
     value_normalizer: Any = None,
-    entropy_coef: float | jax.Array | None = None,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Clipped surrogate, (clipped) value loss and entropy bonus of one mini-batch.
 
@@ -114,8 +114,8 @@ def ppo_loss(
         key: random key (the entropy of a squashed Gaussian is sampled).
         config: settings.
         networks: from ``make_networks``.
+        entropy_coef: weight of the entropy, now.
         value_normalizer: statistics of ``value_obs``; None if the value function reads ``obs``.
-        entropy_coef: weight of the entropy now; None for that of ``config``.
 
     Returns:
         The loss, and the scalars named in ``LOSSES``.
@@ -139,8 +139,7 @@ def ppo_loss(
     value_loss = 0.5 * jnp.mean(error)
 
     entropy = jnp.mean(distribution.entropy(logits, key))
-    weight = config.entropy_coef if entropy_coef is None else entropy_coef
-    loss = policy_loss + config.value_loss_coef * value_loss - weight * entropy
+    loss = policy_loss + config.value_loss_coef * value_loss - entropy_coef * entropy
     scalars = {
         "policy_loss": policy_loss,
         "value_loss": value_loss,
@@ -176,7 +175,7 @@ def learn(
         key: random key.
         config: settings.
         networks: from ``make_networks``.
-        total_steps: environment steps at which the learning rate reaches zero, float32    ().
+        total_steps: environment steps at which what fades has faded, float32    ().
         axis: name of the axis of devices that each have a part of the batch.
 
     Returns:
@@ -230,8 +229,8 @@ def learn(
         rows, key = item
         part = {name: leaf[rows] for name, leaf in data.items()}
         grads, scalars = gradient(
-            params, learner.normalizer, part, key, config, networks, learner.value_normalizer,
-            entropy_coef,
+            params, learner.normalizer, part, key, config, networks, entropy_coef,
+            learner.value_normalizer,
         )  # fmt: skip
         changes, state = optimizer.update(mean(grads), state)
         params = jax.tree.map(lambda p, c: p - rate * c, params, changes)

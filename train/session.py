@@ -177,7 +177,7 @@ def _compile(
         common, own = places(mesh)
         first, run = spread(mesh, first, run)
         learner, key = everywhere(mesh, (learner, key))
-    # TF32 hurts small networks; ``command_line`` sets it for all else.
+    # TF32 hurts small networks.
     with jax.default_matmul_precision("highest"):
         # XLA would leave Warp's empty buffers anywhere, so every place is said.
         reset = jax.jit(first, out_shardings=own).lower(key)

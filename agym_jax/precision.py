@@ -1,7 +1,7 @@
 """Full float32 in matrix products, whoever compiles them.
 
 GPUs round the factors of a product to TF32's 10 bits unless they are told not to: up to half a
-millimetre in a metre. Environments and policies are guarded here; what only learns, in ``train.session``.
+millimetre in a metre. Environments, policies and learning are guarded.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ import optax
 from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import PPONetworkParams
 
+from agym_jax.precision import full_precision
 from train.advantage import compute_gae, values_of
 from train.configs import LearnConfig
 from train.networks import STD_MIN, Architecture, init_policy, make_networks
@@ -156,6 +157,7 @@ def batch_steps(batch: Batch, axis: str | None) -> int:
     return batch.reward.size * (1 if axis is None else jax.lax.axis_size(axis))
 
 
+@full_precision
 def learn(
     learner: LearnerState,
     batch: Batch,

@@ -12,6 +12,8 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo import networks as ppo_networks
 from flax import linen
 
+from agym_jax.precision import full_precision
+
 OBSERVATION_CLIP = 10.0  # normalised observations are clipped here, as in Assistive Gym
 HIDDEN_GAIN = 2.0**0.5  # of the orthogonal initial weights, as in Assistive Gym
 STD_MIN = 1e-4  # smallest deviation an observation is divided by, as in Assistive Gym
@@ -84,6 +86,7 @@ def init_policy(networks: ppo_networks.PPONetworks, arch: Architecture, key: jax
     return policy
 
 
+@full_precision
 def sample_action(
     networks: ppo_networks.PPONetworks, normalizer: Any, policy: Any, obs: jax.Array, key: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -179,6 +179,33 @@ def test_cloth_that_is_let_go_falls_freely_and_held_cloth_is_as_before():
     np.testing.assert_allclose(momentum, [0.0, 0.0, -G * DT], atol=0.01 * G * DT)
 
 
+def test_cloth_lies_on_the_floor_whether_held_or_let_go():
+    spec, floor = weave(load()), -0.3
+    at, far = anchor_positions(spec, jnp.zeros(3)), table()
+    far = replace(far, a_w=far.a_w + 9.0, b_w=far.b_w + 9.0)
+    start = initial(spec, jnp.array([0.0, 0.0, 0.6]))
+    start = replace(start, vel_w=jnp.full((spec.count, 3), 0.5))
+
+    @jax.jit
+    def fall(cloth, held):
+        one = lambda c, _: step(spec, c, far, far, at, at, DT, held, floor)  # noqa: E731
+        return jax.lax.scan(one, cloth, length=300)
+
+    for held in (True, False):
+        end, touch = jax.device_get(fall(start, jnp.bool_(held)))
+        height = end.pos_w[:, 2] - floor
+        lying = height < spec.fabric.thickness + 1e-3
+        assert (height > spec.fabric.thickness - 1e-4).all()
+        assert np.linalg.norm(end.vel_w[lying], axis=1).mean() < 0.02  # it slid, and rubbed
+        np.testing.assert_allclose(touch.total, 0.0)  # the floor is none of the solids
+        free = G * spec.mass[spec.held < 0].sum()
+        if held:
+            # what lies or stands there does not hang from the hand
+            assert lying.mean() > 0.1 and 0.1 < touch.grip_w[-50:, 2].mean() / free < 0.9
+        else:
+            assert lying.mean() > 0.5 and height.max() < 0.3
+
+
 def test_energy_does_not_grow():
     spec = weave(sheet(0.3, 0.4, 0.025), Fabric(damping=0.0))
     v = spec.garment.vertices

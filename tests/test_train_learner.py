@@ -154,3 +154,6 @@ def test_the_entropy_bonus_fades_where_it_is_asked_to():
     assert same(after(50, **fades), after(0, **half))
     assert same(after(100, **fades), after(0))
     assert not same(after(0), after(0, **half))
+    early = fades | {"entropy_decay_share": 0.4}
+    assert same(after(20, **early), after(0, **half)) and same(after(40, **early), after(0))
+    assert same(after(70, **early), after(0))

@@ -101,6 +101,8 @@ class LearnConfig:
     """Weight of the entropy bonus."""
     use_linear_entropy_decay: bool = False
     """Let the entropy bonus fall linearly to zero over the run: first look around, then settle."""
+    entropy_decay_share: float = 1.0
+    """Share of the run after which use_linear_entropy_decay has brought the bonus to zero."""
     privileged_critic: bool = True
     """Let the value functions, in training only, see what rewards to come depend on and nobody
     observes, such as how much water is left in the cup. The policies never see it."""
@@ -148,6 +150,10 @@ class LearnConfig:
         for name in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"{name} must be between 0 and 1, got {getattr(self, name)}.")
+        if not 0 < self.entropy_decay_share <= 1:
+            raise ConfigError(
+                f"entropy_decay_share must be above 0 and at most 1, got {self.entropy_decay_share}."
+            )
         if self.num_env_steps > MAX_ENV_STEPS:
             raise ConfigError(
                 f"num_env_steps must be at most {MAX_ENV_STEPS}, got {self.num_env_steps}."
@@ -232,7 +238,9 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "ScratchItchJaco": _MANY_STROKES | {"use_linear_entropy_decay": True},
     "BedBathing": _TOUCH,
     "Feeding": _SLOW,
-    "Drinking": _SLOW | _LARGE | {"entropy_coef": 0.01, "use_linear_entropy_decay": True},
+    "Drinking": _SLOW
+    | _LARGE
+    | {"entropy_coef": 0.01, "use_linear_entropy_decay": True, "entropy_decay_share": 0.4},
     "Dressing": _SLOW,
     "ArmManipulation": _TOUCH | {"gamma": 0.98, "gae_lambda": 0.95},
     "Reaching": _TOUCH | {"lr": 3e-4},

@@ -223,7 +223,9 @@ def learn(
     progress = learner.env_steps.astype(jnp.float32) / total_steps
     left = jnp.maximum(0.0, 1.0 - progress)
     rate = config.lr * (left if config.use_linear_lr_decay else 1.0)
-    entropy_coef = config.entropy_coef * (left if config.use_linear_entropy_decay else 1.0)
+    entropy_coef = jnp.float32(config.entropy_coef)
+    if config.use_linear_entropy_decay:
+        entropy_coef *= jnp.maximum(0.0, 1.0 - progress / config.entropy_decay_share)
     gradient = jax.grad(ppo_loss, has_aux=True)
 
     def step(carry: tuple, item: tuple) -> tuple[tuple, dict[str, jax.Array]]:

@@ -96,7 +96,7 @@ def anchor_positions(spec: ClothSpec, pos_w: Array, rot_w: Array | None = None) 
 
 def step(
     spec: ClothSpec, cloth: Cloth, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array, dt: float,
-    held: Array | None = None,
+    held: Array | None = None, floor: float | None = None,
 ) -> tuple[Cloth, Touch]:  # fmt: skip
     """Advance by one physics step, while solids and anchors move along straight lines.
 
@@ -109,6 +109,7 @@ def step(
         anchors_end: at its end.
         dt: its length [s].
         held: whether the anchors hold the cloth, () bool; they do if left out.
+        floor: height of the floor [m]; there is none if left out.
 
     Returns:
         cloth, and what the solids felt. A vertex counts for the solid that it touched last.
@@ -133,6 +134,10 @@ def step(
         then, now = solids(share - 1.0 / fabric.substeps), solids(share)
         push, heal, which = _push_out(spec, free, moved, pos, then, now)
         after = add(moved, push)
+        if floor is not None:
+            lift = _lift(spec, free, after, pos, floor)
+            push, after = add(push, lift), add(after, lift)
+            which = jnp.where(lift[2] > 0, len(end.radius), which)
         vel = scale((1.0 - fabric.damping * h) / h, sub(after, pos))
         touched = jnp.where(which >= 0, which, touched)
         return (add(after, heal), vel, add(pushed, push), touched), None
@@ -153,7 +158,8 @@ def step(
         return jnp.where(own & ~broken, x, 0.0).sum(-1)
 
     net = jnp.stack(each(on_each, force), -1)
-    grip = jnp.where(broken, 0.0, _grip(spec, vel_before, cloth.vel_w, net.sum(0), dt))
+    on_all = jnp.stack(force, -1).sum(0)
+    grip = jnp.where(broken, 0.0, _grip(spec, vel_before, cloth.vel_w, on_all, dt))
     total = on_each(jnp.sqrt(dot(force, force)))
     stretch = _stretch(spec, cloth.pos_w)
     return cloth, Touch(net_w=net, total=total, grip_w=grip, stretch=stretch, broken=broken)
@@ -163,7 +169,7 @@ def _grip(spec: ClothSpec, before: Array, after: Array, net_w: Array, dt: float)
     """Force of the anchors on the free vertices [N] (3,): what else changed their momentum.
 
     Forces between vertices cancel. Velocities [m/s] (n, 3) are those ``before`` a physics step and ``after`` it;
-    ``net_w`` is the force of the cloth on all solids [N] (3,).
+    ``net_w`` is the force of the cloth on all solids and the floor [N] (3,).
     """
     mass = jnp.asarray(np.where(spec.held >= 0, 0.0, spec.mass), jnp.float32)
     drag = spec.fabric.damping * (before + after) / 2
@@ -300,6 +306,14 @@ def _push_out(
     )
     push = sub(scale(depth, normal), scale(undo, slid))
     return push, scale(HEALING * (overlap - depth), normal), jnp.where(depth > 0, which, -1)
+
+
+def _lift(spec: ClothSpec, free: Array, pos: Xyz, start: Xyz, floor: float) -> Xyz:
+    """How free vertices are lifted onto the floor, and held back by its friction, in a substep [m]."""
+    up = free * jnp.maximum(floor + spec.fabric.thickness - pos[2], 0.0)
+    x, y, _ = sub(pos, start)
+    undo = jnp.minimum(1.0, spec.fabric.friction * up * rsqrt(jnp.maximum(x * x + y * y, TINY)))
+    return -undo * x, -undo * y, up
 
 
 def _nearest(pos: Xyz, then: Capsules, now: Capsules) -> tuple[Array, Array, Xyz, Xyz]:

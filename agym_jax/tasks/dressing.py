@@ -12,7 +12,7 @@ its opening hangs 0.33 m below and turns by itself; a sleeve that is pulled roun
 DEVIATION(cloth-force): true newtons, the mean over a control step of what the gown presses on the person,
 summed over its vertices. AG: position corrections times 10, of contacts below 1.1 m and 20 units, with robot
 and wheelchair among them.
-DEVIATION(cloth-obstacles): the gown meets limbs, torso and the left armrest, not the robot.
+DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor, not the robot.
 DEVIATION(dressing-limits): the joint limits of the person's arm hold here as in every task.
 """
 
@@ -57,6 +57,7 @@ ARMREST = (
 )
 """Ends of its two capsules, world [m]: assets/furniture/wheelchair.xml."""
 ARMREST_RADIUS = 0.034  # [m]
+FLOOR = 0.0  # its height, world [m]
 START = (0.45, -0.47, 1.08)  # of the hand, world [m]
 START_SPREAD = 0.05  # [m], AG dressing.py reset
 BELOW_HAND = 0.03
@@ -228,7 +229,7 @@ class Dressing:
             cloth, touch = fabrics.step(
                 self.spec, cloth, Capsules(a0, b0, radius), Capsules(a1, b1, radius),
                 held_at(self.spec, hand0 + slid, heading), held_at(self.spec, hand1 + slid, after),
-                self.control.time_step, fabrics.in_hand(slid),
+                self.control.time_step, fabrics.in_hand(slid), FLOOR,
             )  # fmt: skip
             return (cloth, after, fabrics.give_way(slid, touch, self.control.time_step)), touch
 

@@ -57,7 +57,7 @@ def draw(env_name: str) -> None:
 
 def films(task: str) -> list[str]:
     """The environments of a task of which there is a film."""
-    names = [f"{task}{robot}-v0" for robot in ROBOTS]
+    names = [f"{task}{robot}{who}-v0" for who in ("", "Human") for robot in ROBOTS]
     return [name for name in names if (CLIPS / f"{name}.webp").exists()]
 
 
@@ -82,20 +82,15 @@ def page() -> str:
         "",
         f"Drawn by `python -m benchmarks.clips`: the episode of seed {SEED} with each policy's mode, at four times",
         "the speed of life. Nothing is picked: what fails there is shown failing. How often they succeed is in",
-        "[benchmarks](benchmarks.md).",
+        "[benchmarks](benchmarks.md). In the ids with `Human` the person acts by a policy of its own.",
     ]
     for task in TASKS:
         shown = films(task)
-        if shown:
-            lines += [
-                "",
-                f"## {task}",
-                "",
-                "| " + " | ".join(shown) + " |",
-                "|---" * len(shown) + "|",
-            ]
-            lines += ["| " + " | ".join(f"![{x}](images/clips/{x}.webp)" for x in shown) + " |", ""]
-            lines += [f"![{task}](images/clips/{task}.jpg)"]
+        lines += ["", f"## {task}"] if shown else []
+        for row in (shown[i : i + len(ROBOTS)] for i in range(0, len(shown), len(ROBOTS))):
+            lines += ["", "| " + " | ".join(row) + " |", "|---" * len(row) + "|"]
+            lines += ["| " + " | ".join(f"![{x}](images/clips/{x}.webp)" for x in row) + " |"]
+        lines += ["", f"![{task}](images/clips/{task}.jpg)"] if shown else []
     return "\n".join(lines) + "\n"
 
 

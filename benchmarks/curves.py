@@ -16,6 +16,7 @@ from benchmarks.tables import RESULTS
 
 OUTPUT = RESULTS.parent.parent / "docs" / "images" / "learning_curves.png"
 COLUMNS = 4
+ACTIVE = "Human"  # in the id of an environment whose person acts
 
 
 def newest(path: Path = RESULTS / "curves.jsonl") -> dict[str, dict[str, Any]]:
@@ -25,7 +26,7 @@ def newest(path: Path = RESULTS / "curves.jsonl") -> dict[str, dict[str, Any]]:
 
 
 def draw(curves: dict[str, dict[str, Any]], output: Path) -> None:
-    """One panel a task: success over millions of steps, a line a robot."""
+    """One panel a task: success over millions of steps, a line a robot; dashed where the person learns too."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -38,11 +39,13 @@ def draw(curves: dict[str, dict[str, Any]], output: Path) -> None:
     for panel in panels.flat[len(tasks) :]:
         panel.set_axis_off()
     for panel, task in zip(panels.flat, tasks, strict=False):
-        for robot in robots:
-            line = curves.get(f"{task}{robot}-v0")
-            if line:
-                steps = [x / 1e6 for x in line["env_steps"]]
-                panel.plot(steps, [100 * x for x in line["success"]], label=robot, linewidth=1.4)
+        for number, robot in enumerate(robots):
+            for who, look in ((robot, "-"), (f"{robot}{ACTIVE}", "--")):
+                if line := curves.get(f"{task}{who}-v0"):
+                    steps = [x / 1e6 for x in line["env_steps"]]
+                    shares = [100 * x for x in line["success"]]
+                    label = robot if look == "-" else "_"
+                    panel.plot(steps, shares, look, color=f"C{number}", label=label, linewidth=1.4)
         panel.set(title=task, xlabel="million steps", ylim=(0, 101))
         panel.grid(alpha=0.25)
     for first in panels[:, 0]:
@@ -54,7 +57,8 @@ def draw(curves: dict[str, dict[str, Any]], output: Path) -> None:
 
 
 def _task(name: str, robots: tuple[str, ...]) -> str:
-    return next(name.removesuffix(f"{r}-v0") for r in robots if name.endswith(f"{r}-v0"))
+    who = name.removesuffix("-v0").removesuffix(ACTIVE)
+    return next(who.removesuffix(robot) for robot in robots if who.endswith(robot))
 
 
 def main() -> int:

@@ -169,24 +169,68 @@ def nan(folder: Path = RESULTS) -> str:
     return table(lines, columns, itemgetter("env", "impl"))
 
 
+def _success(line: Line) -> str:
+    """Share of successes and its 95 % interval."""
+    return f"{line['success']:.0%} ({line['success_low']:.0%} to {line['success_high']:.0%})"
+
+
 def policies(folder: Path = RESULTS) -> str:
     """What shipped policies achieve: the mode's figures, and the sampled policy's success."""
     lines = read_results("evaluation", ("env", "policy"), folder)
     sampled = {x["env"]: x for x in lines if x["policy"] == "sampled"}
-
-    def success(x: Line) -> str:
-        return f"{x['success']:.0%} ({x['success_low']:.0%} to {x['success_high']:.0%})"
-
     columns = {
         "environment": lambda x: x["env"],
         "people": lambda x: f"{x['episodes']:,}",
         "return": lambda x: f"{x['return_mean']:.1f} ± {x['return_std']:.1f}",
         "mean force on the person": lambda x: f"{x['force_mean']:.2f} N",
-        "success (95 % interval)": success,
-        "success, sampled": lambda x: success(sampled[x["env"]]) if x["env"] in sampled else "",
+        "success (95 % interval)": _success,
+        "success, sampled": lambda x: _success(sampled[x["env"]]) if x["env"] in sampled else "",
     }
     mode = [x for x in lines if x["policy"] == "mode"]
     return table(mode, columns, itemgetter("env"), "Mode of the policy;")
+
+
+def together(folder: Path = RESULTS) -> str:
+    """What robots and people who learned together achieve, and the robot without that person."""
+    lines = read_results("crossplay", ("env", "person_policy"), folder)
+    still = {x["env"]: x for x in lines if x["person_policy"] is None}
+    alone = read_results("evaluation", ("env", "policy"), folder)
+    trained_so = {x["env"]: x for x in alone if x["policy"] == "mode"}
+
+    def other(found: Mapping[str, Line], env: str) -> str:
+        x = found.get(env)
+        return f"{x['success']:.0%}, {x['return_mean']:.0f}" if x else ""
+
+    columns = {
+        "environment": lambda x: x["env"],
+        "people": lambda x: f"{x['episodes']:,}",
+        "success (95 % interval)": _success,
+        "return": lambda x: f"{x['return_mean']:.0f} ± {x['return_std']:.0f}",
+        "mean force on the person": lambda x: f"{x['force_mean']:.1f} N",
+        "this robot, person still": lambda x: other(still, x["env"]),
+        "trained with a still person": lambda x: other(trained_so, x["env"].replace("Human", "")),
+    }
+    both = [x for x in lines if x["person_policy"] is not None]
+    note = "Success and return, mode of the policies;"
+    return table(both, columns, itemgetter("env"), note)
+
+
+def resume(folder: Path = RESULTS) -> str:
+    """What killing a run changes."""
+
+    def ends(found: Iterable[Line]) -> str:
+        return "; ".join(f"{x['return']:.1f}, {x['success']:.0%}" for x in found)
+
+    columns = {
+        "environment": lambda x: x["env"],
+        "steps": lambda x: f"{x['steps']:,}",
+        "killed after": lambda x: f"{x['killed_at']:,}",
+        "went on from": lambda x: f"{x['resumed_from']:,}",
+        "return and success there": lambda x: ends([x["before"]] if x["before"] else []),
+        "at its end": lambda x: ends([x["broken"]]),
+        "unbroken runs, seeds 1, 2, ...": lambda x: ends(x["unbroken"]),
+    }
+    return table(read_results("resume", ("env",), folder), columns, itemgetter("env"))
 
 
 def reach(folder: Path = RESULTS) -> str:
@@ -266,6 +310,8 @@ TABLES: dict[str, Callable[..., str]] = {
     "throughput": throughput,
     "compile": compilation,
     "policies": policies,
+    "together": together,
+    "resume": resume,
     "nan": nan,
     "reach": reach,
     "pulls": pulls,

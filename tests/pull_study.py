@@ -2,7 +2,8 @@
 
     python tests/pull_study.py [pulls] [side by side] [edges of the gown, m ...]
 
-With several edges it is the study of resolution: success, force and hang, coarse to fine. Every edge adds a
+With several edges it is the study of resolution: success, force and hang, coarse to fine; finer gowns get the
+substeps that they need. Every edge adds a
 line to ``benchmarks/results/pulls.jsonl``.
 """
 
@@ -17,7 +18,7 @@ from cloth_world import Outcome, draw_pull, pull_on
 
 from agym_jax.matter.gown import Cut, cut
 from agym_jax.matter.hang import settle
-from agym_jax.matter.weave import weave
+from agym_jax.matter.weave import Fabric, substeps_for, weave
 from train.record import RESULTS, append_record, record
 
 STEPS = 560  # of 10 ms, at 0.15 m/s, the slowest
@@ -25,8 +26,10 @@ STEPS = 560  # of 10 ms, at 0.15 m/s, the slowest
 
 def main(count: int, batch: int, edge: float) -> None:
     """Pull, and print what came of it."""
-    gown = settle(cut(Cut(edge=edge)))
-    spec = weave(gown)
+    garment = cut(Cut(edge=edge))
+    fabric = Fabric(substeps=substeps_for(garment.cuff_perimeter / len(garment.cuff)))
+    gown = settle(garment, fabric)
+    spec = weave(gown, fabric)
     pull = jax.jit(jax.vmap(lambda key: pull_on(spec, draw_pull(key), STEPS)[0]))
     keys = jax.random.split(jax.random.PRNGKey(0), count)
     start = time.perf_counter()

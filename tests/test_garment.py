@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cloth_world import sheet
 
 from agym_jax.errors import MissingAssetError
 from agym_jax.matter.garment import (
@@ -21,7 +22,7 @@ from agym_jax.matter.garment import (
 )  # fmt: skip
 from agym_jax.matter.gown import Cut, cut
 from agym_jax.matter.hang import settle
-from agym_jax.matter.weave import Fabric, weave
+from agym_jax.matter.weave import FOLD_EDGE, Fabric, substeps_for, weave
 from agym_jax.tasks.dressing import Dressing
 
 SQUARE = Garment(  # 4 x 4 vertices, 2 cm apart
@@ -80,6 +81,22 @@ def test_resolution_is_a_parameter(edge: float):
         back = table.partner[rows, table.partner[rows, ids]]
         if table is spec.edges:
             np.testing.assert_array_equal(back, ids)
+
+
+def test_cloth_resists_bending_alike_at_any_resolution():
+    def energy(edge: float, radius: float) -> float:
+        spec = weave(sheet(0.6, 0.6, edge))
+        x, _, z = spec.garment.vertices.T
+        bent = np.stack([radius * np.sin(x / radius), radius * np.cos(x / radius), z], -1)
+        h = spec.hinges
+        now = np.linalg.norm(bent[h.partner] - bent, axis=-1)
+        spring = np.where(h.active > 0, (now - h.rest) ** 2 / np.maximum(h.compliance, 1e-9), 0.0)
+        return 0.25 * spring.sum()  # half of a spring's at each of its ends
+
+    for radius in (0.08, 0.2):
+        coarse, fine = energy(0.025, radius), energy(0.0125, radius)
+        np.testing.assert_allclose(fine, coarse, rtol=0.15)
+    assert [substeps_for(edge) for edge in (FOLD_EDGE, FOLD_EDGE / 2)] == [5, 20]
 
 
 def test_somebodys_own_shirt(tmp_path: Path):

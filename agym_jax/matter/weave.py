@@ -9,6 +9,7 @@ without a partner in a row is its own partner.
 from __future__ import annotations
 
 import heapq
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,10 @@ SHEAR_RATIO = 1.2
 BENDING_SPRING = 15.0
 """Stiffness [N/m] of the spring between the two tips of a hinge, times their distance squared, over the bending
 rigidity: gives a right-angled fold of a triangle lattice the moment of a plate that is bent as much."""
+FOLD_EDGE = 0.52 / 22
+"""Edges for which this holds [m], the gown's. The moment of such a spring grows with the cube of the fold, and finer
+cloth folds less from hinge to hinge, so its springs are stiffer by the square of the fineness: equal curvature,
+equal moment at any resolution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +56,8 @@ class Fabric:
         friction: with everything. AG: kDF 0.25.
         damping: of velocities, air drag [1/s].
         gravity: along world z [m/s^2].
-        substeps: in one physics step of 10 ms; each is one sweep over the edges.
+        substeps: in one physics step of 10 ms; each is one sweep over the edges. Finer cloth needs more, as the
+            square of its fineness: ``substeps_for``.
         max_speed: vertices are never faster [m/s].
     """
 
@@ -64,6 +70,11 @@ class Fabric:
     gravity: float = -9.81
     substeps: int = 5
     max_speed: float = 6.0
+
+
+def substeps_for(edge: float) -> int:
+    """Substeps that cloth with such edges [m] needs to be as stiff as the gown that ships."""
+    return math.ceil(Fabric.substeps * (FOLD_EDGE / edge) ** 2 - 1e-6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +127,10 @@ def weave(garment: Garment, fabric: Fabric = Fabric(), thinnest: float = 0.027) 
     held = np.full(n, -1)
     held[garment.anchors] = np.arange(len(garment.anchors))
     edges, hinges = garment.edges(), _hinges(garment.triangles)
-    runs = _shears(garment, edges)
+    shears, lengths = _shears(garment, edges), _lengths(garment, edges)
     apart = _lengths(garment, hinges)
+    fineness = FOLD_EDGE / np.median(lengths[~shears])
+    spring = BENDING_SPRING * fineness**2 * max(fabric.bending, 1e-12)
     tether, reach = _tethers(garment, np.concatenate([edges, hinges]))
     return ClothSpec(
         fabric=fabric,
@@ -125,11 +138,9 @@ def weave(garment: Garment, fabric: Fabric = Fabric(), thinnest: float = 0.027) 
         mass=mass,
         held=held,
         edges=_rows(
-            n, edges, _lengths(garment, edges), np.where(runs, fabric.shear, fabric.stretch), _colours(edges)
+            n, edges, lengths, np.where(shears, fabric.shear, fabric.stretch), _colours(edges)
         ),
-        hinges=_rows(
-            n, hinges, apart, apart**2 / (BENDING_SPRING * max(fabric.bending, 1e-12)), None
-        ),
+        hinges=_rows(n, hinges, apart, apart**2 / spring, None),
         tether=tether,
         reach=reach,
     )  # fmt: skip

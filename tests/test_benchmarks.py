@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import compile as starts
-from benchmarks import nan, throughput
+from benchmarks import nan, resume, throughput
 from benchmarks.child import ChildError, run_child
 
 
@@ -57,3 +57,10 @@ def test_a_start_is_measured_with_empty_caches_and_with_filled_ones(monkeypatch)
 def test_a_start_of_an_unknown_environment_says_what_exists(capsys):
     assert starts.main(["--env-name", "ScratchItchJacko-v0"]) == 2
     assert "Did you mean 'ScratchItchJaco-v0'" in capsys.readouterr().err
+
+
+def test_a_run_ends_as_its_last_episodes_did_and_a_failed_one_says_why(capsys):
+    rows = [{"return": None if i < 4 else float(i), "success": i / 100} for i in range(24)]
+    assert resume.end(rows) == {"return": 22.5, "success": 0.225}
+    assert resume.main(["--env-name", "RechingJaco-v0", "--seeds", "1"]) == 2
+    assert "ReachingJaco-v0" in capsys.readouterr().err

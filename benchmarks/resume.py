@@ -51,16 +51,12 @@ class ResumeConfig:
 def start(config: ResumeConfig, seed: int, folder: Path) -> subprocess.Popen:
     """Start training in another process; what it says goes to a file in ``folder``."""
     trainer = "coop" if config.env_name.endswith("Human-v0") else "ppo"
-    command = [
-        sys.executable,
-        "-m",
-        f"train.{trainer}",
-        "--env-name",
-        config.env_name,
-        "--impl",
-        config.impl,
-    ]
-    command += ["--num-env-steps", str(config.num_env_steps), "--seed", str(seed), "--save-dir", str(folder)]  # fmt: skip
+    flags = {
+        "env-name": config.env_name, "impl": config.impl, "num-env-steps": config.num_env_steps, "seed": seed,
+        "save-dir": folder,
+    }  # fmt: skip
+    words = [word for name, value in flags.items() for word in (f"--{name}", str(value))]
+    command = [sys.executable, "-m", f"train.{trainer}", *words]
     folder.mkdir(exist_ok=True)
     with (folder / "said.txt").open("a") as said:
         return subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT)

@@ -3,8 +3,7 @@
     python tests/pull_study.py [pulls] [side by side] [edges of the gown, m ...]
 
 With several edges it is the study of resolution: success, force and hang, coarse to fine; finer gowns get the
-substeps that they need. Every edge adds a
-line to ``benchmarks/results/pulls.jsonl``.
+substeps that they need. Every edge adds a line to ``benchmarks/results/pulls.jsonl``.
 """
 
 from __future__ import annotations

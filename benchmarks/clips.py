@@ -20,7 +20,7 @@ from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
 from train.acting import find_policies, load_policies
 from train.enjoy import EnjoyConfig, Frame, Player, film
-from train.envs import make_env
+from train.envs import active_name, make_env
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 CLIPS = DOCS / "images" / "clips"
@@ -57,8 +57,10 @@ def draw(env_name: str) -> None:
 
 def films(task: str) -> list[str]:
     """The environments of a task of which there is a film."""
-    names = [f"{task}{robot}{who}-v0" for who in ("", "Human") for robot in ROBOTS]
-    return [name for name in names if (CLIPS / f"{name}.webp").exists()]
+    still = [f"{task}{robot}-v0" for robot in ROBOTS]
+    return [
+        name for name in (*still, *map(active_name, still)) if (CLIPS / f"{name}.webp").exists()
+    ]
 
 
 def sheet(task: str) -> None:
@@ -86,11 +88,13 @@ def page() -> str:
     ]
     for task in TASKS:
         shown = films(task)
-        lines += ["", f"## {task}"] if shown else []
+        if not shown:
+            continue
+        lines += ["", f"## {task}"]
         for row in (shown[i : i + len(ROBOTS)] for i in range(0, len(shown), len(ROBOTS))):
             lines += ["", "| " + " | ".join(row) + " |", "|---" * len(row) + "|"]
             lines += ["| " + " | ".join(f"![{x}](images/clips/{x}.webp)" for x in row) + " |"]
-        lines += ["", f"![{task}](images/clips/{task}.jpg)"] if shown else []
+        lines += ["", f"![{task}](images/clips/{task}.jpg)"]
     return "\n".join(lines) + "\n"
 
 

@@ -21,7 +21,8 @@ from typing import Any
 
 import tyro
 
-from benchmarks.child import ChildError, run_child
+from benchmarks.child import run_child
+from benchmarks.keep import keep
 
 STEPS = 1000  # after the first, for the speed
 NATIVE = """
@@ -121,17 +122,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(CpuConfig, prog="python -m benchmarks.cpu", args=arguments)
     os.environ["JAX_PLATFORMS"] = "cpu"  # for the children, and for the record, which asks JAX
-    from train.record import append_record, record
-
-    try:
-        fields = measure(config.env_name, config.num_envs)
-    except ChildError as error:
-        print(error, file=sys.stderr)
-        return 2
-    print("\n".join(f"{name:<24} {value}" for name, value in fields.items()))
-    if config.json:
-        append_record(config.json, record("cpu", **fields))
-    return 0
+    fields = keep("cpu", lambda: measure(config.env_name, config.num_envs), config.json)
+    return 2 if fields is None else 0
 
 
 if __name__ == "__main__":

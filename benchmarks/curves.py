@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.tables import RESULTS
+from train.envs import active_name, static_name
 
 OUTPUT = RESULTS.parent.parent / "docs" / "images" / "learning_curves.png"
 COLUMNS = 4
-ACTIVE = "Human"  # in the id of an environment whose person acts
 
 
 def newest(path: Path = RESULTS / "curves.jsonl") -> dict[str, dict[str, Any]]:
@@ -40,8 +40,9 @@ def draw(curves: dict[str, dict[str, Any]], output: Path) -> None:
         panel.set_axis_off()
     for panel, task in zip(panels.flat, tasks, strict=False):
         for number, robot in enumerate(robots):
-            for who, look in ((robot, "-"), (f"{robot}{ACTIVE}", "--")):
-                if line := curves.get(f"{task}{who}-v0"):
+            name = f"{task}{robot}-v0"
+            for env_name, look in ((name, "-"), (active_name(name), "--")):
+                if line := curves.get(env_name):
                     steps = [x / 1e6 for x in line["env_steps"]]
                     shares = [100 * x for x in line["success"]]
                     label = robot if look == "-" else "_"
@@ -57,7 +58,7 @@ def draw(curves: dict[str, dict[str, Any]], output: Path) -> None:
 
 
 def _task(name: str, robots: tuple[str, ...]) -> str:
-    who = name.removesuffix("-v0").removesuffix(ACTIVE)
+    who = static_name(name).removesuffix("-v0")
     return next(who.removesuffix(robot) for robot in robots if who.endswith(robot))
 
 

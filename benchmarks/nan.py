@@ -18,10 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from agym_jax.errors import AgymError
+from benchmarks.keep import keep
 from benchmarks.rollout import CHUNK, first_state, make_worlds, random_steps, zero_totals
 from train.configs import Count
-from train.record import append_record, record
 
 FORCES = ("force/on_person", "force/tool")
 LOWEST, DECADES, PER_DECADE = 1e-3, 8, 400  # bins of 0.6 % from 1 mN on
@@ -117,15 +116,8 @@ def search(config: NanConfig) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status, 1 if contacts were lost."""
     config = tyro.cli(NanConfig, prog="python -m benchmarks.nan", args=arguments)
-    try:
-        fields = search(config)
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    print("\n".join(f"{name:<24} {value}" for name, value in fields.items()))
-    if config.json:
-        append_record(config.json, record("nan", **fields))
-    return 1 if fields["overflow"] else 0
+    fields = keep("nan", lambda: search(config), config.json)
+    return 2 if fields is None else 1 if fields["overflow"] else 0
 
 
 if __name__ == "__main__":

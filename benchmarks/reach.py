@@ -26,14 +26,13 @@ from rich.progress import track
 
 import agym_jax
 from agym_jax import kinematics
-from agym_jax.errors import AgymError
 from agym_jax.person import pose
 from agym_jax.person.body import RIGHT_ARM_LINKS
 from agym_jax.scene import compose
 from agym_jax.spec import Pose
 from agym_jax.validate import COLLISION
+from benchmarks.keep import keep
 from train.configs import Count
-from train.record import append_record, record
 
 DEEPEST = 0.004  # [m] that skin may yield
 NEAR = 0.005  # [m] of remaining distance at which inverse kinematics has arrived
@@ -144,30 +143,26 @@ class Searcher:
         return False
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status."""
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    config = tyro.cli(ReachConfig, prog="python -m benchmarks.reach", args=words)
-    try:
-        env = agym_jax.make(config.env_name, impl="jax")
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
+def measure(config: ReachConfig) -> dict[str, Any]:
+    """The fields of a result: how many itches can be touched, and how many of those near the trunk."""
+    env = agym_jax.make(config.env_name, impl="jax")
     searcher = Searcher(env, config.starts, np.random.default_rng(config.seed))
     draws = [searcher.can_touch() for _ in track(range(config.num_itches), "itches")]
     ok, angle = (np.array(x) for x in zip(*draws, strict=True))
     inner = np.sin(angle) < -np.sqrt(0.5)  # the quarter that faces the trunk
-    row = {
+    return {
         "env": config.env_name,
         "itches": config.num_itches,
         "reachable": float(ok.mean()),
         "reachable_inner": float(ok[inner].mean()),
         "reachable_other": float(ok[~inner].mean()),
     }
-    print(row)
-    if config.json:
-        append_record(config.json, record("reach", **row))
-    return 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    config = tyro.cli(ReachConfig, prog="python -m benchmarks.reach", args=arguments)
+    return 2 if keep("reach", lambda: measure(config), config.json) is None else 0
 
 
 if __name__ == "__main__":

@@ -20,10 +20,10 @@ from typing import Any
 
 import tyro
 
-from agym_jax.errors import AgymError
 from benchmarks.child import ChildError
+from benchmarks.keep import keep
 from train.configs import Count
-from train.record import append_record, record
+from train.policy import train_command
 from train.run_folder import RunFolder
 
 LATEST = 0.1  # share of the curve that says how a run ends
@@ -50,13 +50,9 @@ class ResumeConfig:
 
 def start(config: ResumeConfig, seed: int, folder: Path) -> subprocess.Popen:
     """Start training in another process; what it says goes to a file in ``folder``."""
-    trainer = "coop" if config.env_name.endswith("Human-v0") else "ppo"
-    flags = {
-        "env-name": config.env_name, "impl": config.impl, "num-env-steps": config.num_env_steps, "seed": seed,
-        "save-dir": folder,
-    }  # fmt: skip
+    flags = {"impl": config.impl, "num-env-steps": config.num_env_steps, "seed": seed, "save-dir": folder}  # fmt: skip
     words = [word for name, value in flags.items() for word in (f"--{name}", str(value))]
-    command = [sys.executable, "-m", f"train.{trainer}", *words]
+    command = [sys.executable, *train_command(config.env_name).split()[1:], *words]
     folder.mkdir(exist_ok=True)
     with (folder / "said.txt").open("a") as said:
         return subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT)
@@ -80,8 +76,14 @@ def curve(config: ResumeConfig, folder: Path) -> list[Row]:
 
 
 def end(rows: Sequence[Row]) -> dict[str, float]:
-    """Mean return and success of the last rows that saw an episode end."""
+    """Mean return and success of the last rows that saw an episode end.
+
+    Raises:
+        ChildError: none did.
+    """
     seen = [row for row in rows if row["return"] is not None]
+    if not seen:
+        raise ChildError("No episode ended; use a higher --num-env-steps or --kill-at.")
     last = seen[-max(1, round(LATEST * len(seen))) :]
     return {name: sum(row[name] for row in last) / len(last) for name in ("return", "success")}
 
@@ -132,7 +134,6 @@ def measure(config: ResumeConfig) -> Row:
         rows = curve(config, folder)
     found = end(rows)
     print(f"seed 1, killed at {killed_at:,}, resumed from {resumed_from:,}: {found}", flush=True)
-    before = [row for row in rows if row["env_steps"] <= resumed_from]
     return {
         "env": config.env_name,
         "steps": rows[-1]["env_steps"],
@@ -140,21 +141,14 @@ def measure(config: ResumeConfig) -> Row:
         "broken": found,
         "killed_at": killed_at,
         "resumed_from": resumed_from,
-        "before": end(before) if any(row["return"] is not None for row in before) else None,
+        "before": end([row for row in rows if row["env_steps"] <= resumed_from]),
     }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(ResumeConfig, prog="python -m benchmarks.resume", args=arguments)
-    try:
-        fields = measure(config)
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    if config.json:
-        append_record(config.json, record("resume", **fields))
-    return 0
+    return 2 if keep("resume", lambda: measure(config), config.json) is None else 0
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from typing import Any
 
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
+from train.envs import static_name
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (ROOT / "README.md", ROOT / "docs" / "benchmarks.md")
@@ -208,7 +209,7 @@ def together(folder: Path = RESULTS) -> str:
         "return": lambda x: f"{x['return_mean']:.0f} ± {x['return_std']:.0f}",
         "mean force on the person": lambda x: f"{x['force_mean']:.1f} N",
         "this robot, person still": lambda x: other(still, x["env"]),
-        "trained with a still person": lambda x: other(trained_so, x["env"].replace("Human", "")),
+        "trained with a still person": lambda x: other(trained_so, static_name(x["env"])),
     }
     both = [x for x in lines if x["person_policy"] is not None]
     note = "Success and return, mode of the policies;"
@@ -226,7 +227,7 @@ def resume(folder: Path = RESULTS) -> str:
         "steps": lambda x: f"{x['steps']:,}",
         "killed after": lambda x: f"{x['killed_at']:,}",
         "went on from": lambda x: f"{x['resumed_from']:,}",
-        "return and success there": lambda x: ends([x["before"]] if x["before"] else []),
+        "return and success there": lambda x: ends([x["before"]]),
         "at its end": lambda x: ends([x["broken"]]),
         "unbroken runs, seeds 1, 2, ...": lambda x: ends(x["unbroken"]),
     }

@@ -114,10 +114,9 @@ def active_env() -> agym_jax.Env:
 @pytest.fixture
 def restored_settings() -> Iterator[None]:
     """What a command line of ``train`` sets in this process is as before after the test."""
-    handler, precision = signal.getsignal(signal.SIGTERM), jax.config.jax_default_matmul_precision
+    handler = signal.getsignal(signal.SIGTERM)
     yield
     signal.signal(signal.SIGTERM, handler)
-    jax.config.update("jax_default_matmul_precision", precision)
 
 
 @pytest.fixture

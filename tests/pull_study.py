@@ -17,7 +17,7 @@ from cloth_world import Outcome, draw_pull, pull_on
 
 from agym_jax.matter.gown import Cut, cut
 from agym_jax.matter.hang import settle
-from agym_jax.matter.weave import Fabric, substeps_for, weave
+from agym_jax.matter.weave import weave
 from train.record import RESULTS, append_record, record
 
 STEPS = 560  # of 10 ms, at 0.15 m/s, the slowest
@@ -25,10 +25,8 @@ STEPS = 560  # of 10 ms, at 0.15 m/s, the slowest
 
 def main(count: int, batch: int, edge: float) -> None:
     """Pull, and print what came of it."""
-    garment = cut(Cut(edge=edge))
-    fabric = Fabric(substeps=substeps_for(garment.cuff_perimeter / len(garment.cuff)))
-    gown = settle(garment, fabric)
-    spec = weave(gown, fabric)
+    gown = settle(cut(Cut(edge=edge)))
+    spec = weave(gown)
     pull = jax.jit(jax.vmap(lambda key: pull_on(spec, draw_pull(key), STEPS)[0]))
     keys = jax.random.split(jax.random.PRNGKey(0), count)
     start = time.perf_counter()
@@ -43,7 +41,7 @@ def main(count: int, batch: int, edge: float) -> None:
         "pulls",
         edge_m=edge,
         vertices=spec.count,
-        substeps=spec.fabric.substeps,
+        substeps=spec.substeps,
         pulls=count,
         through=int(np.sum(out.through > 0)),
         broken=int(np.sum(out.broken)),

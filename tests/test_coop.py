@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from fake_pair_env import FakePairEnv
+from products import full
 from train_runs import check_continued, check_restored, kill_in_training, listening, same_bytes
 
 from train import coop, ppo
@@ -130,6 +131,18 @@ def test_an_action_does_not_depend_on_what_the_other_sees_by_one_bit(central, ag
     assert same_bytes(before, actions(obs.at[:, jnp.array(other)].multiply(-7.0)))
     after = actions(obs.at[:, jnp.array(own)].multiply(-7.0))
     assert not any(same_bytes(x, y) for x, y in zip(before, after, strict=True))
+
+
+def test_acting_and_learning_never_round_to_tf32():
+    algorithm, learner, batch, last = updated(SMALL)
+    key, obs = jax.random.PRNGKey(3), batch.obs[0]
+    policy = algorithm.policies(learner, {})["robot"]
+    programs = [
+        full(algorithm.act, learner, obs, key),
+        full(algorithm.learn, learner, batch, last, key, jnp.float32(800)),
+        full(lambda obs: policy(obs), obs[:, :2]),
+    ]
+    assert all(found and all(found) for found in programs)
 
 
 @CRITICS

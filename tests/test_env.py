@@ -13,6 +13,7 @@ import pytest
 from brax import envs as brax_envs
 from brax.envs.wrappers import training as brax_wrappers
 from conftest import BATCH, STATIC, Rollout, Worlds, roll
+from products import full
 
 import agym_jax
 from agym_jax import observe
@@ -330,28 +331,11 @@ def test_stagger_spreads_the_clocks(worlds: Worlds, rollout: Rollout):
     assert jax.tree.structure(state) == jax.tree.structure(rollout.first)
 
 
-def _products(jaxpr) -> list:
-    """All matrix products in a program, those of inner programs included."""
-    found = []
-    for equation in jaxpr.eqns:
-        if equation.primitive.name == "dot_general":
-            found.append(equation)
-        for inner in jax.core.jaxprs_in_params(equation.params):
-            found += _products(inner)
-    return found
-
-
 @pytest.mark.parametrize("name", ["ScratchItchJaco-v0", "DrinkingSawyer-v0"])
 def test_products_are_never_rounded_to_tf32(name: str):
     env = agym_jax.make(name, impl="jax")
     key, action = jax.random.PRNGKey(0), jnp.zeros(env.action_size)
     state = jax.eval_shape(env.reset, key)
-    highest = (jax.lax.Precision.HIGHEST,) * 2
-
-    def full(function, *arguments) -> list[bool]:
-        with jax.default_matmul_precision("tensorfloat32"):  # whatever the caller has set
-            program = jax.make_jaxpr(function)(*arguments)
-        return [x.params["precision"] == highest for x in _products(program.jaxpr)]
 
     for found in (full(env.reset, key), full(env.step, state, action)):
         assert len(found) > 10

@@ -22,7 +22,7 @@ from agym_jax.matter.garment import (
 )  # fmt: skip
 from agym_jax.matter.gown import Cut, cut
 from agym_jax.matter.hang import settle
-from agym_jax.matter.weave import FOLD_EDGE, Fabric, substeps_for, weave
+from agym_jax.matter.weave import USUAL_EDGE, USUAL_SUBSTEPS, Fabric, weave
 from agym_jax.tasks.dressing import Dressing
 
 SQUARE = Garment(  # 4 x 4 vertices, 2 cm apart
@@ -96,7 +96,13 @@ def test_cloth_resists_bending_alike_at_any_resolution():
     for radius in (0.08, 0.2):
         coarse, fine = energy(0.025, radius), energy(0.0125, radius)
         np.testing.assert_allclose(fine, coarse, rtol=0.15)
-    assert [substeps_for(edge) for edge in (FOLD_EDGE, FOLD_EDGE / 2)] == [5, 20]
+
+
+def test_finer_cloth_gets_more_substeps_unless_somebody_says_how_many():
+    assert weave(load()).substeps == USUAL_SUBSTEPS
+    fine = sheet(USUAL_EDGE * 10, USUAL_EDGE * 10, USUAL_EDGE / 2)
+    assert weave(fine).substeps == 4 * USUAL_SUBSTEPS
+    assert weave(fine, Fabric(substeps=3)).substeps == 3
 
 
 def test_somebodys_own_shirt(tmp_path: Path):

@@ -149,7 +149,7 @@ def test_the_entropy_bonus_fades_where_it_is_asked_to():
     def same(a, b):
         return all(np.allclose(x, y, atol=1e-7) for x, y in zip(a, b, strict=True))
 
-    half, fades = {"entropy_coef": 0.5}, {"entropy_coef": 1.0, "use_linear_entropy_decay": True}
+    half, fades = {"entropy_coef": 0.5}, {"entropy_coef": 1.0, "entropy_decay_share": 1.0}
     assert same(after(0, **fades), after(0, entropy_coef=1.0))
     assert same(after(50, **fades), after(0, **half))
     assert same(after(100, **fades), after(0))

@@ -99,10 +99,9 @@ class LearnConfig:
     """Weight of the value loss (which itself carries another 0.5)."""
     entropy_coef: float = 0.0
     """Weight of the entropy bonus."""
-    use_linear_entropy_decay: bool = False
-    """Let the entropy bonus fall linearly to zero over the run: first look around, then settle."""
-    entropy_decay_share: float = 1.0
-    """Share of the run after which use_linear_entropy_decay has brought the bonus to zero."""
+    entropy_decay_share: float = 0.0
+    """Share of the run in which the entropy bonus falls linearly to zero: first look around, then
+    settle; 0 = it stays."""
     privileged_critic: bool = True
     """Let the value functions, in training only, see what rewards to come depend on and nobody
     observes, such as how much water is left in the cup. The policies never see it."""
@@ -147,13 +146,9 @@ class LearnConfig:
         for name in ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} must be greater than 0, got {getattr(self, name)}.")
-        for name in ("gamma", "gae_lambda"):
+        for name in ("gamma", "gae_lambda", "entropy_decay_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"{name} must be between 0 and 1, got {getattr(self, name)}.")
-        if not 0 < self.entropy_decay_share <= 1:
-            raise ConfigError(
-                f"entropy_decay_share must be above 0 and at most 1, got {self.entropy_decay_share}."
-            )
         if self.num_env_steps > MAX_ENV_STEPS:
             raise ConfigError(
                 f"num_env_steps must be at most {MAX_ENV_STEPS}, got {self.num_env_steps}."
@@ -235,12 +230,10 @@ _MANY_STROKES: dict[str, Any] = (
 TASK_CHANGES: dict[str, dict[str, Any]] = {
     "ScratchItch": _MANY_STROKES,
     "ScratchItchBaxter": _MANY_STROKES | {"entropy_coef": 0.006},
-    "ScratchItchJaco": _MANY_STROKES | {"use_linear_entropy_decay": True},
+    "ScratchItchJaco": _MANY_STROKES | {"entropy_decay_share": 1.0},
     "BedBathing": _TOUCH,
     "Feeding": _SLOW,
-    "Drinking": _SLOW
-    | _LARGE
-    | {"entropy_coef": 0.01, "use_linear_entropy_decay": True, "entropy_decay_share": 0.4},
+    "Drinking": _SLOW | _LARGE | {"entropy_coef": 0.01, "entropy_decay_share": 0.4},
     "Dressing": _SLOW,
     "ArmManipulation": _TOUCH | {"gamma": 0.98, "gae_lambda": 0.95},
     "Reaching": _TOUCH | {"lr": 3e-4},

@@ -224,7 +224,7 @@ def learn(
     left = jnp.maximum(0.0, 1.0 - progress)
     rate = config.lr * (left if config.use_linear_lr_decay else 1.0)
     entropy_coef = jnp.float32(config.entropy_coef)
-    if config.use_linear_entropy_decay:
+    if config.entropy_decay_share:
         entropy_coef *= jnp.maximum(0.0, 1.0 - progress / config.entropy_decay_share)
     gradient = jax.grad(ppo_loss, has_aux=True)
 

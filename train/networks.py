@@ -110,6 +110,7 @@ def sample_action(
     return action, raw, distribution.log_prob(logits, raw)
 
 
+@full_precision
 def mode_action(
     networks: ppo_networks.PPONetworks, normalizer: Any, policy: Any, obs: jax.Array
 ) -> jax.Array:

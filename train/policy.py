@@ -19,7 +19,6 @@ import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd
 
 from agym_jax.errors import MissingAssetError, did_you_mean
-from agym_jax.precision import full_precision
 from train.envs import active_name, parts, static_name
 from train.errors import (
     DamagedFileError,
@@ -60,7 +59,6 @@ class Policy:
     arch: Architecture
     info: Mapping[str, Any] = field(default_factory=dict)
 
-    @full_precision
     def __call__(
         self, obs: jax.Array, key: jax.Array | None = None, deterministic: bool = True
     ) -> jax.Array:

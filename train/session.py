@@ -177,18 +177,16 @@ def _compile(
         common, own = places(mesh)
         first, run = spread(mesh, first, run)
         learner, key = everywhere(mesh, (learner, key))
-    # TF32 hurts small networks.
-    with jax.default_matmul_precision("highest"):
-        # XLA would leave Warp's empty buffers anywhere, so every place is said.
-        reset = jax.jit(first, out_shardings=own).lower(key)
-        worlds = jax.tree.map(
-            lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=own), reset.out_info
-        )
-        update = jax.jit(run, out_shardings=(common, own, common))
-        update = update.lower(learner, worlds, np.int32(1), np.float32(1))
-        with ThreadPoolExecutor(2) as pool:  # XLA compiles outside of Python's lock
-            begin, go = pool.map(lambda lowered: lowered.compile(), (reset, update))
-        return learner, jax.block_until_ready(begin(key)), go
+    # XLA would leave Warp's empty buffers anywhere, so every place is said.
+    reset = jax.jit(first, out_shardings=own).lower(key)
+    worlds = jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=own), reset.out_info
+    )
+    update = jax.jit(run, out_shardings=(common, own, common))
+    update = update.lower(learner, worlds, np.int32(1), np.float32(1))
+    with ThreadPoolExecutor(2) as pool:  # XLA compiles outside of Python's lock
+        begin, go = pool.map(lambda lowered: lowered.compile(), (reset, update))
+    return learner, jax.block_until_ready(begin(key)), go
 
 
 def _say_resumed(
@@ -225,7 +223,6 @@ def command_line(
         The exit status.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
-    jax.config.update("jax_default_matmul_precision", "highest")  # TF32 hurts small networks
     try:
         config = parse_arguments(words, kind)
         signal.signal(signal.SIGTERM, _on_terminate)

@@ -34,16 +34,15 @@ class StepwiseEnv:
 
     def __init__(self, venv: Any) -> None:
         self.venv, self.num_envs = venv, venv.num_envs
-        with jax.default_matmul_precision("highest"):
-            reset = jax.jit(lambda key: strong_types(venv.reset(key)))
-            lowered_reset = reset.lower(jax.random.PRNGKey(0))
-            state = lowered_reset.out_info
-            action = jax.ShapeDtypeStruct((venv.num_envs, venv.action_size), jnp.float32)
-            step = jax.jit(lambda state, action: strong_types(venv.step(state, action)))
-            lowered_step = step.lower(jax.tree.map(_aval, state), action)
-            with ThreadPoolExecutor(2) as pool:
-                futures = [pool.submit(x.compile) for x in (lowered_step, lowered_reset)]
-                self.step, self.reset = (future.result() for future in futures)
+        reset = jax.jit(lambda key: strong_types(venv.reset(key)))
+        lowered_reset = reset.lower(jax.random.PRNGKey(0))
+        state = lowered_reset.out_info
+        action = jax.ShapeDtypeStruct((venv.num_envs, venv.action_size), jnp.float32)
+        step = jax.jit(lambda state, action: strong_types(venv.step(state, action)))
+        lowered_step = step.lower(jax.tree.map(_aval, state), action)
+        with ThreadPoolExecutor(2) as pool:
+            futures = [pool.submit(x.compile) for x in (lowered_step, lowered_reset)]
+            self.step, self.reset = (future.result() for future in futures)
 
     def vectorize(self, num_envs: int) -> StepwiseEnv:
         """Itself: the batch size is compiled in.

@@ -115,7 +115,7 @@ def step(
         cloth, and what the solids felt. A vertex counts for the solid that it touched last.
     """
     fabric, vel_before = spec.fabric, cloth.vel_w
-    h = dt / fabric.substeps
+    h = dt / spec.substeps
     relax, free = _relaxation(spec, h, held), _free(spec, held)
     mass = jnp.asarray(spec.mass, jnp.float32)
 
@@ -131,18 +131,14 @@ def step(
         anchors = columns(between(anchors_start, anchors_end, share))
         fallen = _fall(spec, pos, vel, h)
         moved = relax(_hold(spec, fallen, anchors, held), anchors)
-        then, now = solids(share - 1.0 / fabric.substeps), solids(share)
-        push, heal, which = _push_out(spec, free, moved, pos, then, now)
+        then, now = solids(share - 1.0 / spec.substeps), solids(share)
+        push, heal, which = _push_out(spec, free, moved, pos, then, now, floor)
         after = add(moved, push)
-        if floor is not None:
-            lift = _lift(spec, free, after, pos, floor)
-            push, after = add(push, lift), add(after, lift)
-            which = jnp.where(lift[2] > 0, len(end.radius), which)
         vel = scale((1.0 - fabric.damping * h) / h, sub(after, pos))
         touched = jnp.where(which >= 0, which, touched)
         return (add(after, heal), vel, add(pushed, push), touched), None
 
-    shares = jnp.arange(1, fabric.substeps + 1) / fabric.substeps
+    shares = jnp.arange(1, spec.substeps + 1) / spec.substeps
     still = jnp.zeros(spec.count)
     nothing = (still, still, still), jnp.full(spec.count, -1, jnp.int32)
     carry = (columns(cloth.pos_w), columns(cloth.vel_w), *nothing)
@@ -284,18 +280,14 @@ def _pull(pairs: Pairs, share: Array, row: int, pos: Xyz) -> Xyz:
 
 
 def _push_out(
-    spec: ClothSpec, free: Array, pos: Xyz, start: Xyz, then: Capsules, now: Capsules
-) -> tuple[Xyz, Xyz, Array]:
+    spec: ClothSpec, free: Array, pos: Xyz, start: Xyz, then: Capsules, now: Capsules, floor: float | None,
+) -> tuple[Xyz, Xyz, Array]:  # fmt: skip
     """How free vertices are pushed out of the nearest solid, and healed besides, and which solid that is, -1 for none.
 
     A push undoes what moved inwards within the substep, and up to friction * push of what slid along the solid.
     What was inside before is healed by displacement.
     """
-    count = len(now.radius)
-    if not count:
-        still = scale(jnp.float32(0.0), pos)
-        return still, still, jnp.full(spec.count, -1, jnp.int32)
-    which, dist, normal, carried = _nearest(pos, then, now)
+    which, dist, normal, carried = _nearest(pos, then, now, floor)
     went = sub(sub(pos, start), carried)
     inwards = dot(went, normal)
     overlap = free * jnp.maximum(spec.fabric.thickness - dist, 0.0)
@@ -308,19 +300,30 @@ def _push_out(
     return push, scale(HEALING * (overlap - depth), normal), jnp.where(depth > 0, which, -1)
 
 
-def _lift(spec: ClothSpec, free: Array, pos: Xyz, start: Xyz, floor: float) -> Xyz:
-    """How free vertices are lifted onto the floor, and held back by its friction, in a substep [m]."""
-    up = free * jnp.maximum(floor + spec.fabric.thickness - pos[2], 0.0)
-    x, y, _ = sub(pos, start)
-    undo = jnp.minimum(1.0, spec.fabric.friction * up * rsqrt(jnp.maximum(x * x + y * y, TINY)))
-    return -undo * x, -undo * y, up
-
-
-def _nearest(pos: Xyz, then: Capsules, now: Capsules) -> tuple[Array, Array, Xyz, Xyz]:
+def _nearest(
+    pos: Xyz, then: Capsules, now: Capsules, floor: float | None
+) -> tuple[Array, Array, Xyz, Xyz]:
     """Nearest solid of each vertex: which, its distance [m], its normal, how far it moved [m]; each (n,).
 
-    Only the distances are of all solids: everything else is computed again for the one.
+    The floor comes after the capsules.
     """
+    count, still = len(now.radius), scale(jnp.float32(0.0), pos)
+    which, dist = jnp.full_like(pos[0], count, jnp.int32), jnp.full_like(pos[0], jnp.inf)
+    normal = carried = still
+    if count:
+        which, dist, normal, carried = _nearest_capsule(pos, then, now)
+    if floor is not None:
+        above = pos[2] - floor
+        lower = above < dist
+        which, dist = jnp.where(lower, count, which), jnp.minimum(above, dist)
+        x, y, z = (jnp.where(lower, 0.0, n) for n in normal)
+        normal = x, y, jnp.where(lower, 1.0, z)
+        carried = each(lambda c: jnp.where(lower, 0.0, c), carried)
+    return which, dist, normal, carried
+
+
+def _nearest_capsule(pos: Xyz, then: Capsules, now: Capsules) -> tuple[Array, Array, Xyz, Xyz]:
+    """The same among capsules. Only distances are of all: everything else is computed again for the one."""
     which = jnp.argmin(now.touching(pos, then).dist, axis=0).astype(jnp.int32)
     own = lambda x: each(partial(_take, at=which), columns(x))  # noqa: E731
     a, b, moved_a, moved_b = map(own, (now.a_w, now.b_w, now.a_w - then.a_w, now.b_w - then.b_w))

@@ -21,10 +21,12 @@ SHEAR_RATIO = 1.2
 BENDING_SPRING = 15.0
 """Stiffness [N/m] of the spring between the two tips of a hinge, times their distance squared, over the bending
 rigidity: gives a right-angled fold of a triangle lattice the moment of a plate that is bent as much."""
-FOLD_EDGE = 0.52 / 22
+USUAL_EDGE = 0.52 / 22
 """Edges for which this holds [m], the gown's. The moment of such a spring grows with the cube of the fold, and finer
 cloth folds less from hinge to hinge, so its springs are stiffer by the square of the fineness: equal curvature,
 equal moment at any resolution."""
+USUAL_SUBSTEPS = 5
+"""For such edges. Finer cloth takes more sweeps to be as stiff: more by the square of the fineness."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +58,7 @@ class Fabric:
         friction: with everything. AG: kDF 0.25.
         damping: of velocities, air drag [1/s].
         gravity: along world z [m/s^2].
-        substeps: in one physics step of 10 ms; each is one sweep over the edges. Finer cloth needs more, as the
-            square of its fineness: ``substeps_for``.
+        substeps: in one physics step of 10 ms; each is one sweep over the edges. None: as many as its edges need.
         max_speed: vertices are never faster [m/s].
     """
 
@@ -68,13 +69,8 @@ class Fabric:
     friction: float = 0.25
     damping: float = 1.0
     gravity: float = -9.81
-    substeps: int = 5
+    substeps: int | None = None
     max_speed: float = 6.0
-
-
-def substeps_for(edge: float) -> int:
-    """Substeps that cloth with such edges [m] needs to be as stiff as the gown that ships."""
-    return math.ceil(Fabric.substeps * (FOLD_EDGE / edge) ** 2 - 1e-6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +79,7 @@ class ClothSpec:
 
     Attributes:
         fabric: properties.
+        substeps: in one physics step of 10 ms.
         garment: n vertices, at rest where they begin.
         mass: of the vertices [kg], (n,).
         held: index among the anchors, -1 for a free vertex, (n,).
@@ -93,6 +90,7 @@ class ClothSpec:
     """
 
     fabric: Fabric
+    substeps: int
     garment: Garment
     mass: np.ndarray
     held: np.ndarray
@@ -129,11 +127,12 @@ def weave(garment: Garment, fabric: Fabric = Fabric(), thinnest: float = 0.027) 
     edges, hinges = garment.edges(), _hinges(garment.triangles)
     shears, lengths = _shears(garment, edges), _lengths(garment, edges)
     apart = _lengths(garment, hinges)
-    fineness = FOLD_EDGE / np.median(lengths[~shears])
+    fineness = USUAL_EDGE / float(np.median(lengths[~shears]))
     spring = BENDING_SPRING * fineness**2 * max(fabric.bending, 1e-12)
     tether, reach = _tethers(garment, np.concatenate([edges, hinges]))
     return ClothSpec(
         fabric=fabric,
+        substeps=fabric.substeps or max(1, math.ceil(USUAL_SUBSTEPS * fineness**2 - 1e-6)),
         garment=garment,
         mass=mass,
         held=held,
@@ -149,7 +148,7 @@ def weave(garment: Garment, fabric: Fabric = Fabric(), thinnest: float = 0.027) 
 def _check_fabric(fabric: Fabric) -> None:
     positive = ("thickness", "substeps", "max_speed")
     for name, value in vars(fabric).items():
-        if name == "gravity":
+        if name == "gravity" or value is None:
             continue
         if not np.isfinite(value) or value < 0 or (name in positive and not value > 0):
             bound = "> 0" if name in positive else ">= 0"

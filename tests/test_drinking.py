@@ -25,7 +25,7 @@ from agym_jax.kinematics import rotation_matrix
 from agym_jax.matter.checks import MatterError
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks.drinking import DRINKING as TASK
-from agym_jax.tasks.drinking import DrinkState, axis, fates_of, in_cup, tilt_reward
+from agym_jax.tasks.drinking import DrinkState, fates_of, in_cup, tilt_reward
 
 advance = jax.jit(TASK.advance)
 CUP_AT = AIR["pos_w"]  # upright unless said
@@ -55,7 +55,8 @@ def state(places=None, **changes) -> DrinkState:
         many[: len(places)], there = places, np.arange(64) < len(places)
     water = replace(particles(many), alive=jnp.asarray(there))
     values = {
-        "water": water, "drunk": jnp.float32(0), "lost": jnp.int32(0), "mouth_pos_w": arrays(MOUTH)
+        "water": water, "drunk": jnp.float32(0), "lost": jnp.int32(0), "side": jnp.float32(1),
+        "mouth_pos_w": arrays(MOUTH),
     }  # fmt: skip
     return DrinkState(**values | changes)
 
@@ -151,35 +152,51 @@ def test_success_at_48_of_64():
     assert TASK.success(state(drunk=jnp.float32(48)))
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(
-    ("tilt", "reward"),
-    [(0.0, -np.pi / 2), (0.5, 0.5 - np.pi / 2), (np.pi / 2, 0.0), (np.pi, -np.pi / 2)],
-)
-def test_tilt_is_rewarded_by_the_angle_to_the_vertical(tilt: float, reward: float):
-    for about in ((1.0, 0.0, 0.0), (0.6, -0.8, 0.0)):
-        up = axis(jnp.asarray(turned(tilt, about), jnp.float32))
-        np.testing.assert_allclose(tilt_reward(up), reward, atol=2e-3)
+    ("tipped", "reward"),
+    [(0.0, -np.pi / 2), (0.5, 0.5 - np.pi / 2), (np.pi / 2, 0.0), (3.0, np.pi / 2 - 3.0), (-0.5, -0.5 - np.pi / 2),
+     (-np.pi / 2, -np.pi), (-3.0, 3.0 - 3 * np.pi / 2)],
+)  # fmt: skip
+def test_tipping_towards_the_person_is_rewarded(side: float, tipped: float, reward: float):
+    quat = jnp.asarray(turned(-side * tipped, (1.0, 0.0, 0.0)), jnp.float32)
+    np.testing.assert_allclose(tilt_reward(quat, jnp.float32(side)), reward, atol=2e-3)
 
 
 def test_tilt_reward_is_continuous_where_assistive_gyms_jumps():
     """Tilts of a few milliradians to all sides: AG's Euler angle is then pi or -pi."""
     small = [turned(0.003, (np.cos(a), np.sin(a), 0)) for a in np.linspace(0, 2 * np.pi, 16)]
-    ours = [float(tilt_reward(axis(jnp.asarray(q, jnp.float32)))) for q in small]
-    assert np.ptp(ours) < 0.01
-    theirs = [upstream_tilt(q) for q in small]
-    assert np.ptp(theirs) > 3.0
-    # towards the person (about -x, with the cup's z along -y) both agree all the way over
-    for tilt in np.linspace(0.05, 3.0, 12):
-        quat = turned(-tilt, (1.0, 0.0, 0.0))
-        ours = float(tilt_reward(axis(jnp.asarray(quat, jnp.float32))))
-        np.testing.assert_allclose(ours, upstream_tilt(quat), atol=2e-3)
+    assert np.ptp([tilt_now(q) for q in small]) < 0.01
+    assert np.ptp([upstream_tilt(q) for q in small]) > 3.0
+    upside_down = [turned(np.pi - x, (1.0, 0.0, 0.0)) for x in (-0.003, 0.003)]
+    assert np.ptp([tilt_now(q) for q in upside_down]) < 0.01
 
 
-def upstream_tilt(cup_quat_w: np.ndarray) -> float:
-    """tasks.md section 5, of PR2, Baxter, Sawyer: -|phi - pi/2|, phi the roll of frame C."""
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_tilt_reward_is_assistive_gyms_but_where_that_has_jumped(side: float):
+    """All orientations: equal, or AG's is less because of the full turn that it does not take off."""
+    rng = np.random.default_rng(0)
+    equal = 0
+    for quat in rng.normal(size=(200, 4)):
+        quat = quat / np.linalg.norm(quat)
+        ours, theirs = tilt_now(quat, side), upstream_tilt(quat, side)
+        if abs(theirs) <= np.pi:
+            equal += 1
+            np.testing.assert_allclose(ours, theirs, atol=2e-3)
+        else:
+            np.testing.assert_allclose(ours, -2 * np.pi - theirs, atol=2e-3)
+    assert equal > 100
+
+
+def tilt_now(cup_quat_w: np.ndarray, side: float = 1.0) -> float:
+    return float(tilt_reward(jnp.asarray(cup_quat_w, jnp.float32), jnp.float32(side)))
+
+
+def upstream_tilt(cup_quat_w: np.ndarray, side: float = 1.0) -> float:
+    """tasks.md section 5: -|phi - pi/2| of PR2, Baxter, Sawyer, -|phi + pi/2| of Jaco; phi is the roll of frame C."""
     h = 0.5**0.5
     frame = rotation_matrix(cup_quat_w) @ rotation_matrix(np.array([h, h, 0.0, 0.0]))
-    return -abs(np.arctan2(frame[2, 1], frame[2, 2]) - np.pi / 2)
+    return -abs(np.arctan2(frame[2, 1], frame[2, 2]) - side * np.pi / 2)
 
 
 def test_reward_is_assistive_gyms():
@@ -195,7 +212,7 @@ def test_reward_is_assistive_gyms():
     expected = {
         "distance": -1.0 * 0.5,
         "action": -0.01 * 2.0,
-        "tilt": 0.1 * (0.7 - np.pi / 2),
+        "tilt": 0.1 * (-0.7 - np.pi / 2),  # tipped away from the person
         "water": 1.0 * (3 * 10 - 2 * 1),
         "preference_velocity": -0.25 * 0.5,  # config.ini human_preferences
         "preference_force_nontarget": -0.01 * 3.0,  # of the robot's body only

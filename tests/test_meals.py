@@ -25,7 +25,7 @@ from agym_jax.robots import ROBOTS
 from agym_jax.scene import build_scene
 from agym_jax.spec import Pose
 from agym_jax.tasks import TASKS, meals
-from agym_jax.tasks.drinking import INSIDE
+from agym_jax.tasks.drinking import INSIDE, side_of
 from agym_jax.tasks.feeding import DISH
 
 PEOPLE = 24
@@ -106,6 +106,33 @@ def test_an_episode_begins_with_a_full_vessel_that_touches_nobody(task: str, rob
     share = np.clip((away * axis).sum(-1) / square, 0, 1)[..., None]
     gap = np.linalg.norm(away - share * axis, axis=-1) - radius
     assert gap.min() > reach
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_side_of_the_person_is_assistive_gyms_sign(robot: str):
+    """tasks.md section 5: Jaco's cup lies before the person at a roll of -pi/2, the others' at pi/2."""
+    scene, bank = (
+        build_scene(TASKS["Drinking"], ROBOTS[robot]),
+        load_bank(TASKS["Drinking"], ROBOTS[robot]),
+    )
+    index, env = scene.index, env_of("DrinkingJaco-v0")
+    chain = kinematics.chain_of(
+        scene.model, index.robot_joint, index.tools[0].tip, index.robot_base
+    )
+    keys = [jax.random.PRNGKey(seed) for seed in range(PEOPLE)]
+    mouths = jnp.stack([env.reset(key).task.mouth_pos_w for key in keys])
+
+    @jax.jit
+    @jax.vmap
+    def sides(angles: jax.Array, base: jax.Array, turn: jax.Array) -> jax.Array:
+        pos, rot, _ = kinematics.forward(chain, angles)
+        cup = base + rotation(turn) @ pos
+        turned = quaternion(rotation(turn) @ rot)
+        return jax.vmap(lambda mouth: side_of(turned, mouth - cup))(mouths)
+
+    found = sides(*map(jnp.asarray, (bank.arm_angles, bank.base_pos, bank.base_quat)))
+    assert found.size > 10_000
+    assert (np.asarray(found) == (-1.0 if robot == "Jaco" else 1.0)).all()
 
 
 def quaternion(rot: jax.Array) -> jax.Array:

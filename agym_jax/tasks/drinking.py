@@ -4,10 +4,11 @@ Assistive Gym v0.1 ``drinking.py`` (reference tasks.md section 5). The cup holds
 of it, one within 3 cm of the mouth is drunk, one below 0.5 m is spilled, one that touches the person
 elsewhere is a nuisance. 48 drops drunk are a success.
 
-DEVIATION(cup-tilt): the tilt reward is -|tilt - pi/2| with the angle between the cup's axis and the
-vertical: -pi/2 for an upright cup, 0 for one that lies, -pi/2 upside down, continuous, the same for all
-robots and directions. AG takes an Euler angle, which for an upright cup jumps between -pi/2 and -3 pi/2;
-towards the person's side both are equal, the other way AG's is up to pi less.
+DEVIATION(cup-tilt): the tilt reward is AG's, -|roll of the cup's frame - that of a cup that lies before the
+person|, but the difference of the two angles is taken on the circle. AG subtracts them as numbers: for an
+upright cup, whose roll is pi or -pi, its reward jumps between -pi/2 and -3 pi/2. Both are equal but for a cup
+tipped away from the person by less than a quarter turn, where AG's is less. Towards the person is told by the
+cup at the beginning of the episode; AG has a sign for Jaco and one for the others.
 DEVIATION(drinking-clock): ten physics steps of 10 ms, as in Feeding, in which the water takes 40 substeps of
 2.5 ms; AG takes 25 steps of 4 ms. Motors follow the same exponential in time, and a control step is 0.1 s.
 DEVIATION(sip-speed): the speed of a drop is read before it vanishes; AG reads it afterwards, when it is 0.
@@ -61,6 +62,7 @@ class DrinkState:
     water: Particles
     drunk: Array  # how many drops                                              ()
     lost: Array  # drops that went non-finite, int32                            ()
+    side: Array  # 1 if the cup's z axis rises when it tips towards the person, -1 if it falls   ()
     mouth_pos_w: Array  # now [m]                                               (3,)
 
 
@@ -118,6 +120,7 @@ class Drinking:
             water=fill(load_settled("cup"), *meals.attach(tool.pos_w, tool.quat_w, INSIDE)),
             drunk=jnp.float32(0.0),
             lost=jnp.int32(0),
+            side=side_of(tool.quat_w, sensed.mouth_pos_w - tool.pos_w),
             mouth_pos_w=sensed.mouth_pos_w,
         )
 
@@ -132,6 +135,7 @@ class Drinking:
             water=water.remove(fates.eaten | fates.spilled | fates.hit),
             drunk=state.drunk + count(fates.eaten),
             lost=state.lost + contact.lost,
+            side=state.side,
             mouth_pos_w=mouth,
         )
         return state, {
@@ -144,12 +148,12 @@ class Drinking:
     ) -> dict[str, Array]:
         """Weighted terms. AG drinking.py step; the action is clipped (deviation action-penalty)."""
         c, tool = self.config, sensed.tool
-        up = axis(tool.quat_w)
-        distance = jnp.linalg.norm(state.mouth_pos_w - (tool.pos_w + TOP * up))
+        top = tool.pos_w + TOP * axis(tool.quat_w)
+        distance = jnp.linalg.norm(state.mouth_pos_w - top)
         return {
             "distance": -c.distance * distance,
             "action": -c.action * jnp.sum(jnp.square(action)),
-            "tilt": c.tilt * tilt_reward(up),
+            "tilt": c.tilt * tilt_reward(tool.quat_w, state.side),
             "water": c.water * (c.drunk * events["drunk"] - c.spilled * events["spilled"]),
             **preference_terms(
                 c.preferences,
@@ -191,9 +195,41 @@ def axis(cup_quat_w: Array) -> Array:
     return jnp.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
 
 
-def tilt_reward(up: Array) -> Array:
-    """Minus how far the cup's axis (3,) is from level [rad] (): -|tilt - pi/2|."""
-    return -jnp.abs(jnp.arcsin(jnp.clip(up[2], -1.0, 1.0)))
+def _across(cup_quat_w: Array) -> Array:
+    """The cup's z axis in the world (3,): it turns about x when it tips."""
+    w, x, y, z = cup_quat_w
+    return jnp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+
+
+def side_of(cup_quat_w: Array, to_mouth_w: Array) -> Array:
+    """Whether an upright cup's z axis rises (1) or falls (-1) when it tips towards the person ().
+
+    Args:
+        cup_quat_w: wxyz (4,).
+        to_mouth_w: from the cup to the mouth (3,).
+    """
+    return jnp.where(jnp.dot(_across(cup_quat_w), to_mouth_w) > 0, -1.0, 1.0)
+
+
+def tipped(cup_quat_w: Array, side: Array) -> Array:
+    """How far the cup is tipped towards the person about its x axis, in (-pi, pi] [rad] ().
+
+    Args:
+        cup_quat_w: wxyz (4,).
+        side: see ``side_of`` ().
+    """
+    return jnp.arctan2(side * _across(cup_quat_w)[2], axis(cup_quat_w)[2])
+
+
+def tilt_reward(cup_quat_w: Array, side: Array) -> Array:
+    """Minus the angle, at most pi, between how the cup is tipped and lying before the person [rad] ().
+
+    Args:
+        cup_quat_w: wxyz (4,).
+        side: see ``side_of`` ().
+    """
+    missing = jnp.abs(tipped(cup_quat_w, side) - jnp.pi / 2)
+    return -jnp.minimum(missing, 2 * jnp.pi - missing)
 
 
 def in_cup(points_w: Array, cup_pos_w: Array, cup_quat_w: Array) -> Array:

@@ -1,0 +1,98 @@
+"""Environment steps per second of training: one learner or two, on one device or several.
+
+    python -m benchmarks.training_speed --env-name FeedingJacoHuman-v0 --learners 1 2 --devices 1 2
+
+All learn with the settings of two learners. One learner is a policy that sees and moves robot and person together
+(``train.ppo --allow-joint-observation``). Every device has as many worlds. Compiling does not count.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import tyro
+
+from benchmarks.keep import keep
+from train import coop, ppo
+from train.configs import CoopConfig, Count, PPOConfig, config_for, resolve
+from train.envs import make_env
+
+CALLS = 10
+"""Calls of the compiled training in one measurement, after a first one that does not count."""
+
+
+@dataclass(frozen=True)
+class TrainingSpeedConfig:
+    """Flags of ``python -m benchmarks.training_speed``."""
+
+    env_name: str = "FeedingJacoHuman-v0"
+    """Environment id; with two learners, one whose person acts too."""
+    learners: tuple[int, ...] = (1, 2)
+    """How many policies learn."""
+    devices: tuple[int, ...] = (1,)
+    """How many devices share the work."""
+    num_envs: Count = 0
+    """Worlds on each device; 0 = as many as training takes."""
+    updates: Count = 20
+    """In one measurement, rounded up to whole calls."""
+    impl: str = "auto"
+    """Physics: "jax", "warp", "auto"."""
+    json: Path | None = None
+    """File to which each result is added as a JSON line."""
+
+
+def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[str, Any]:
+    """Train for a while; returns the fields of the result line."""
+    env = make_env(config.env_name, config.impl)
+    kind, trainer = (CoopConfig, coop) if learners == 2 else (PPOConfig, ppo)
+    settings = config_for(config.env_name, kind)
+    settings = dataclasses.replace(settings, num_processes=config.num_envs)
+    worlds = devices * resolve(settings, jax.default_backend()).num_processes
+    each = -(-config.updates // CALLS)
+    settings = dataclasses.replace(
+        settings,
+        num_processes=worlds,
+        num_env_steps=(CALLS + 1) * each * worlds * settings.num_steps,
+        log_interval=each,
+        devices=devices,
+        save_dir=None,
+        **({"allow_joint_observation": True} if learners == 1 else {}),
+    )
+    result = trainer.train(env, settings)
+    speeds = [row["steps_per_second"] for row in result.curve[1:]]
+    return {
+        "env": config.env_name,
+        "impl": env.impl,
+        "learners": learners,
+        "devices": devices,
+        "num_envs": worlds,
+        "steps": result.env_steps,
+        "steps_per_s": round(statistics.median(speeds)),
+        "steps_per_s_min": round(min(speeds)),
+        "steps_per_s_max": round(max(speeds)),
+        "nan": result.nan_steps,
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    config = tyro.cli(
+        TrainingSpeedConfig, prog="python -m benchmarks.training_speed", args=arguments
+    )
+    wanted = [(learners, devices) for learners in config.learners for devices in config.devices]
+    done = [
+        keep("training-speed", lambda pair=pair: measure(config, *pair), config.json)
+        for pair in wanted
+    ]
+    return 2 if None in done else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -21,7 +21,7 @@ import tyro
 
 from benchmarks.keep import keep
 from train import coop, ppo
-from train.configs import CoopConfig, Count, PPOConfig, config_for, resolve
+from train.configs import Config, CoopConfig, Count, PPOConfig, config_for, resolve
 from train.envs import make_env
 
 CALLS = 10
@@ -51,34 +51,39 @@ class TrainingSpeedConfig:
 def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[str, Any]:
     """Train for a while; returns the fields of the result line."""
     env = make_env(config.env_name, config.impl)
-    kind, trainer = (CoopConfig, coop) if learners == 2 else (PPOConfig, ppo)
-    settings = config_for(config.env_name, kind)
-    settings = dataclasses.replace(settings, num_processes=config.num_envs)
-    worlds = devices * resolve(settings, jax.default_backend()).num_processes
-    each = -(-config.updates // CALLS)
-    settings = dataclasses.replace(
-        settings,
-        num_processes=worlds,
-        num_env_steps=(CALLS + 1) * each * worlds * settings.num_steps,
-        log_interval=each,
-        devices=devices,
-        save_dir=None,
-        **({"allow_joint_observation": True} if learners == 1 else {}),
-    )
-    result = trainer.train(env, settings)
+    if learners == 2:
+        result = coop.train(env, _settings(config_for(env.name, CoopConfig), config, devices))
+    else:
+        joint = dataclasses.replace(config_for(env.name, PPOConfig), allow_joint_observation=True)
+        result = ppo.train(env, _settings(joint, config, devices))
     speeds = [row["steps_per_second"] for row in result.curve[1:]]
     return {
-        "env": config.env_name,
+        "env": env.name,
         "impl": env.impl,
         "learners": learners,
         "devices": devices,
-        "num_envs": worlds,
+        "num_envs": result.config.num_processes,
         "steps": result.env_steps,
         "steps_per_s": round(statistics.median(speeds)),
         "steps_per_s_min": round(min(speeds)),
         "steps_per_s_max": round(max(speeds)),
         "nan": result.nan_steps,
     }
+
+
+def _settings(settings: Config, config: TrainingSpeedConfig, devices: int) -> Config:
+    """Those of a short training on several devices that writes nothing."""
+    settings = dataclasses.replace(settings, num_processes=config.num_envs)
+    worlds = devices * resolve(settings, jax.default_backend()).num_processes
+    each = -(-config.updates // CALLS)
+    return dataclasses.replace(
+        settings,
+        num_processes=worlds,
+        num_env_steps=(CALLS + 1) * each * worlds * settings.num_steps,
+        log_interval=each,
+        devices=devices,
+        save_dir=None,
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from benchmarks import compile as starts
-from benchmarks import nan, resume, throughput
+from benchmarks import nan, resume, throughput, training_speed
 from benchmarks.child import ChildError, run_child
 
 
@@ -64,3 +66,26 @@ def test_a_run_ends_as_its_last_episodes_did_and_a_failed_one_says_why(capsys):
     assert resume.end(rows) == {"return": 22.5, "success": 0.225}
     assert resume.main(["--env-name", "RechingJaco-v0", "--seeds", "1"]) == 2
     assert "ReachingJaco-v0" in capsys.readouterr().err
+
+
+def test_speed_of_training_counts_every_call_but_the_first(monkeypatch):
+    def make(name, impl):
+        return SimpleNamespace(name=name, impl=impl)
+
+    def train(env, settings):
+        rows = [{"steps_per_second": v} for v in (1.0, 30.0, 50.0, 40.0)]
+        steps = settings.num_env_steps
+        return SimpleNamespace(curve=rows, config=settings, env_steps=steps, nan_steps=0)
+
+    monkeypatch.setattr(training_speed, "make_env", make)
+    monkeypatch.setattr(training_speed.coop, "train", train)
+    config = training_speed.TrainingSpeedConfig(num_envs=16, updates=20, impl="jax")
+    row = training_speed.measure(config, 2, 2)
+    assert (row["steps_per_s"], row["steps_per_s_min"], row["steps_per_s_max"]) == (40, 30, 50)
+    assert (row["num_envs"], row["devices"], row["learners"]) == (32, 2, 2)
+    assert row["steps"] == 11 * 2 * 32 * 20  # calls, updates of each, worlds, steps of a rollout
+
+
+def test_speed_of_training_an_unknown_environment_says_what_exists(capsys):
+    assert training_speed.main(["--env-name", "FeedingJackoHuman-v0"]) == 2
+    assert "Did you mean 'FeedingJacoHuman-v0'" in capsys.readouterr().err

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks.tables import RESULTS
+from benchmarks.markdown import RESULTS
 from train.envs import active_name, static_name
 
 OUTPUT = RESULTS.parent.parent / "docs" / "images" / "learning_curves.png"

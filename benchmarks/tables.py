@@ -6,102 +6,31 @@ same configuration the last line of the file counts. Results with lost contacts 
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
 
-from agym_jax.robots import ROBOTS
-from agym_jax.tasks import TASKS
+from benchmarks.markdown import (
+    NOTHING,
+    RESULTS,
+    Line,
+    grid,
+    matrix,
+    read_results,
+    several,
+    table,
+)
 from train.envs import static_name
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (ROOT / "README.md", ROOT / "docs" / "benchmarks.md")
-RESULTS = ROOT / "benchmarks" / "results"
-NOTHING = "*No results yet.*"
-Line = dict[str, Any]
 
 
 class TableError(ValueError):
     """A table that a page names and nobody makes, or a broken marker."""
-
-
-def read_results(name: str, keys: Sequence[str], folder: Path = RESULTS) -> list[Line]:
-    """Result lines of one kind, the newest of each configuration.
-
-    Args:
-        name: file without suffix.
-        keys: fields that make a configuration.
-        folder: where results lie.
-    """
-    path = folder / f"{name}.jsonl"
-    text = path.read_text() if path.is_file() else ""
-    newest: dict[tuple, Line] = {}
-    for line in (json.loads(row) for row in text.splitlines() if row.strip()):
-        if not line.get("overflow"):
-            configuration = tuple(line.get(key) for key in keys)
-            newest.pop(configuration, None)
-            newest[configuration] = line
-    return list(newest.values())
-
-
-def about(lines: Sequence[Line]) -> str:
-    """On what, and with which commits, the lines were measured."""
-    kinds = list(dict.fromkeys(line["device"]["kind"] for line in lines))
-    commits = list(dict.fromkeys(str(line["commit"])[:8] for line in lines))
-    return f"{', '.join(kinds)}; commit {', '.join(commits)}."
-
-
-def table(
-    lines: Sequence[Line],
-    columns: Mapping[str, Callable[[Line], Any]],
-    order: Callable[[Line], Any],
-    note: str = "",
-) -> str:
-    """A Markdown table, and below it what holds for all lines.
-
-    Args:
-        lines: results.
-        columns: headings, and what a line has under each.
-        order: what rows are sorted by.
-        note: what to say before the device and the commits.
-    """
-    if not lines:
-        return NOTHING
-    cells = [columns, *([cell(x) for cell in columns.values()] for x in sorted(lines, key=order))]
-    head, *body = (f"| {' | '.join(map(str, row))} |" for row in cells)
-    return "\n".join(
-        [head, "|" + "---|" * len(columns), *body, "", f"{note} {about(lines)}".strip()]
-    )
-
-
-def matrix(lines: Sequence[Line], cell: Callable[[Line], str], note: str = "") -> str:
-    """A Markdown table of still people's environments: a row for each task, a column for each robot.
-
-    Args:
-        lines: results, one for each environment.
-        cell: what stands in the table for a line.
-        note: what to say before the device and the commits.
-    """
-    pairs = {(t, r): f"{t}{r}-v0" for t in TASKS for r in ROBOTS}
-    of = {line["env"]: cell(line) for line in lines if line["env"] in pairs.values()}
-    if not of:
-        return NOTHING
-    rows = [["", *ROBOTS], *([t, *(of.get(pairs[t, r], "") for r in ROBOTS)] for t in TASKS)]
-    head, *body = (f"| {' | '.join(row)} |" for row in rows if any(row[1:]))
-    used = [line for line in lines if line["env"] in of]
-    return "\n".join(
-        [head, "|" + "---|" * len(rows[0]), *body, "", f"{note} {about(used)}".strip()]
-    )
-
-
-def several(values: Iterable[Any]) -> str:
-    """Each value once."""
-    return ", ".join(map(str, sorted(set(values))))
 
 
 def throughput(folder: Path = RESULTS) -> str:
@@ -216,6 +145,47 @@ def together(folder: Path = RESULTS) -> str:
     return table(both, columns, itemgetter("env"), note)
 
 
+def seeds(folder: Path = RESULTS) -> str:
+    """How robots and people of different trainings of the same pair get along."""
+    lines = read_results("seeds", ("env", "robot_policy", "person_policy"), folder)
+    if not lines:
+        return NOTHING
+    of = {(x["robot_policy"], x["person_policy"]): x for x in lines}
+    robots, people = ({x[name]: None for x in lines} for name in ("robot_policy", "person_policy"))
+
+    def cell(robot: str, person: str | None) -> str:
+        return f"{of[robot, person]['success']:.0%}, {of[robot, person]['return_mean']:.0f}"
+
+    head = ["robot", *(person or "still person" for person in people)]
+    rows = [[robot, *(cell(robot, person) for person in people)] for robot in robots]
+    note = f"{several(x['env'] for x in lines)}, success and return, {several(x['episodes'] for x in lines)} people;"
+    return grid([head, *rows], lines, note)
+
+
+def training_speed(folder: Path = RESULTS) -> str:
+    """What a second learner costs, and a second device brings."""
+    keys = ("env", "impl", "learners", "devices", "num_envs")
+    lines = read_results("training_speed", keys, folder)
+    one = {(x["env"], x["impl"]): x for x in lines if x["learners"] == x["devices"] == 1}
+
+    def relative(x: Line) -> str:
+        first = one.get((x["env"], x["impl"]))
+        return f"{x['steps_per_s'] / first['steps_per_s']:.2f}" if first else ""
+
+    columns = {
+        "environment": lambda x: x["env"],
+        "physics": lambda x: x["impl"],
+        "learners": lambda x: x["learners"],
+        "devices": lambda x: x["devices"],
+        "worlds": lambda x: f"{x['num_envs']:,}",
+        "steps/s of training, median (range)": lambda x: (
+            f"**{x['steps_per_s']:,}** ({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,})"
+        ),
+        "relative to one learner, one device": relative,
+    }
+    return table(lines, columns, itemgetter(*keys))
+
+
 def resume(folder: Path = RESULTS) -> str:
     """What killing a run changes."""
 
@@ -312,6 +282,8 @@ TABLES: dict[str, Callable[..., str]] = {
     "compile": compilation,
     "policies": policies,
     "together": together,
+    "seeds": seeds,
+    "training-speed": training_speed,
     "resume": resume,
     "nan": nan,
     "reach": reach,

@@ -12,9 +12,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.matter.one_kernel import kernel, sum_over_others
-from agym_jax.matter.particles import Contact, Obstacles, Particles, ParticleSpec, advance, step
-from agym_jax.matter.pushes import CALM, _pair_shifts, push_pairs, push_vessel
+from agym_jax.matter import particles as matter
+from agym_jax.matter.one_kernel import kernel
+from agym_jax.matter.particles import (
+    FOOD,
+    WATER,
+    Contact,
+    Obstacles,
+    Particles,
+    ParticleSpec,
+    advance,
+    step,
+)
+from agym_jax.matter.pushes import CALM, push_pairs, push_vessel
 from agym_jax.matter.shapes import Boxes, Capsules, columns
 from agym_jax.matter.vessels import CUP, SPOON
 
@@ -326,21 +336,81 @@ def test_the_same_again_bit_for_bit(run: Any) -> None:
         np.testing.assert_array_equal(a, np.repeat(np.asarray(a)[:1], WORLDS, axis=0))
 
 
-def test_sums_over_pairs_are_the_same_in_one_kernel() -> None:
-    """As on a GPU, step by step here; and on a GPU it is what runs."""
+def busy(spec: ParticleSpec) -> tuple[Particles, Obstacles]:
+    """Three worlds, two physics steps: a crowd, some of it masked, a tilted vessel, nine arms, a box, a floor."""
     rng = np.random.default_rng(3)
-    drops = rng.uniform(-0.02, 0.02, (6, 5, 64)).astype(np.float32)
-    drops[3:] = drops[:3] + 1e-3 * drops[3:]
-    contacts = rng.integers(0, 6, (1, 5, 64)).astype(np.float32)
-    inputs = *np.concatenate([drops, contacts]), np.full(5, CALM, np.float32)
-    function = partial(_pair_shifts, R, MU, DT)
-    whole = jax.vmap(partial(kernel, function, interpret=True))(*inputs)
-    plain = jax.jit(jax.vmap(partial(sum_over_others, function)))
-    for a, b in zip(whole, plain(*inputs), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-7)
-    assert np.abs(whole[0]).max() > 1e-4 and whole[3].max() > 1.0  # they do push each other
-    for_gpu = plain.trace(*inputs).lower(lowering_platforms=("cuda",)).as_text()
-    assert "triton" in for_gpu and "triton" not in plain.lower(*inputs).as_text()
+
+    def moving(centre: Any, half: float, *shape: int) -> jax.Array:
+        start, way = rng.uniform(-half, half, (2, 3, 1, *shape))
+        times = np.arange(3.0).reshape(1, 3, *[1] * len(shape))
+        return jnp.asarray(start + centre + 0.1 * times * way, jnp.float32)
+
+    middle, upright = np.array([0, 0, 0.015]), np.array([1.0, 0, 0, 0])
+    crowd = jnp.asarray(middle + rng.uniform(-0.02, 0.02, (3, spec.count, 3)), jnp.float32)
+    speed = jnp.asarray(rng.normal(0, 0.3, crowd.shape), jnp.float32)
+    alive = jnp.asarray(rng.uniform(size=crowd.shape[:2]) < 0.8)
+    obstacles = Obstacles(
+        vessel_pos_w=moving([0, 0, 0], 0.01, 3),
+        vessel_quat_w=moving(upright, 0.5, 4),
+        person=Capsules(
+            moving(middle, 0.05, 9, 3), moving(middle, 0.05, 9, 3), jnp.full((3, 9), 0.01)
+        ),
+        furniture=Boxes(
+            moving(middle, 0.02, 1, 3)[:, 0],
+            moving(upright, 0.5, 1, 4)[:, 0],
+            jnp.full((3, 1, 3), 0.01),
+        ),
+        floor=jnp.full(3, -0.002),
+    )
+    return Particles(crowd, speed, alive), obstacles
+
+
+@pytest.mark.parametrize("spec", [FOOD, WATER], ids=["food", "water"])
+def test_in_one_kernel_it_is_the_same(spec: ParticleSpec, monkeypatch: Any) -> None:
+    """As on a GPU, step by step here; and on a GPU it is what runs."""
+    world = busy(spec)
+    plain = jax.jit(jax.vmap(lambda p, m: advance(spec, p, m, 0.01)))
+    expected, touched = plain(*world)
+    for_gpu = plain.trace(*world).lower(lowering_platforms=("cuda",)).as_text()
+    assert for_gpu.count("__gpu$xla.gpu.triton") == 1
+    assert "triton" not in plain.lower(*world).as_text()
+    monkeypatch.setattr(matter, "walk", partial(kernel, interpret=True))
+    whole = jax.jit(jax.vmap(lambda p, m: advance(spec, p, m, 0.01)))
+    after, contact = whole(*world)
+    np.testing.assert_allclose(after.pos_w, expected.pos_w, atol=2e-6)
+    np.testing.assert_allclose(after.vel_w, expected.vel_w, atol=2e-3)
+    np.testing.assert_array_equal(after.alive, world[0].alive)
+    for name in ("vessel", "person", "furniture", "floor"):
+        np.testing.assert_array_equal(getattr(contact, name), getattr(touched, name))
+        assert np.any(getattr(contact, name))  # so that all kinds of pushes are compared
+
+
+def test_a_number_of_particles_that_no_kernel_can_have_is_left_to_xla(run: Any) -> None:
+    world = particles(HIGH), obstacles([scene()] * WORLDS)
+    for_gpu = run.trace(*world).lower(lowering_platforms=("cuda",)).as_text()
+    assert "triton" not in for_gpu
+
+
+def test_a_kernel_says_when_its_desk_is_full() -> None:
+    def body(x: jax.Array, *unused: Any) -> jax.Array:
+        return unused[-1](lambda rows: rows[0][:, None] * x, [x] * 17)
+
+    with pytest.raises(ValueError, match="room for 16 vectors, got 17"):
+        kernel(body, jnp.ones(64), jnp.zeros(3), jnp.float32(0.0), interpret=True)
+
+
+def test_derivatives_of_a_walk_are_finite() -> None:
+    """Those of what XLA compiles, also where a kernel could run."""
+    state, motion = jax.tree.map(lambda x: x[0], busy(FOOD))
+    once = replace(FOOD, substeps=1, sweeps=1)
+
+    def after(pos_w: jax.Array) -> jax.Array:
+        return advance(once, replace(state, pos_w=pos_w), motion, 0.01)[0].pos_w
+
+    up = jnp.ones_like(state.pos_w)
+    change = np.asarray(jax.jit(lambda p: jax.jvp(after, (p,), (up,))[1])(state.pos_w))
+    assert np.isfinite(change).all() and np.any(change != 1.0)
+    np.testing.assert_array_equal(change[~np.asarray(state.alive)], 1.0)
 
 
 def test_gradients_are_finite() -> None:
@@ -351,7 +421,7 @@ def test_gradients_are_finite() -> None:
 
     def total(pos: jax.Array) -> jax.Array:
         local, old = columns(pos), columns(pos + 1e-4)
-        local, contacts = push_pairs(R, MU, local, old, jnp.zeros(4), jnp.float32(CALM), DT)
+        local, contacts = push_pairs(R, MU, local, old, jnp.zeros(4), CALM, DT)
         local, _ = push_vessel(CUP, R, MU, local, old, DT)
         return sum(jnp.sum(x) for x in local) + jnp.sum(contacts)
 

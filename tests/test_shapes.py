@@ -15,7 +15,6 @@ from agym_jax.matter.particles import FOOD, WATER, ParticleSpec
 from agym_jax.matter.shapes import (
     Boxes,
     Capsules,
-    Touching,
     columns,
     dot,
     floor_touching,
@@ -207,9 +206,9 @@ def test_the_floor_and_nothing() -> None:
     points = xyz(np.array([[3.0, -2.0, 0.4], [0.0, 0.0, -0.1]]))
     floor = floor_touching(points, jnp.float32(0.1))
     np.testing.assert_allclose(floor.dist, [[0.3, -0.2]], atol=1e-6)
-    none = no_capsules()
-    joined = Touching.join([none.touching(points, none), no_boxes().touching(points), floor])
-    assert joined.dist.shape == (1, 2)
+    nobody = no_capsules()
+    for nothing in (nobody.touching(points, nobody), no_boxes().touching(points)):
+        assert nothing.dist.shape == nothing.normal[2].shape == (0, 2)
 
 
 def test_gradients_are_finite_where_lengths_are_zero() -> None:

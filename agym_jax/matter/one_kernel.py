@@ -1,98 +1,187 @@
-"""Sums over all pairs of particles of a world, as one GPU kernel with one program a world.
+"""A loop over the moments of a world, as one GPU kernel with one program a world.
 
-So the pairs live in registers, a few columns at a time. XLA writes no array of pairs either, but its kernel
-does not know of worlds.
+So the state of a world stays in registers for the whole loop. XLA launches several kernels for every turn of a
+loop, and each of them reads and writes the state of all worlds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-WARPS = 4
-"""Of 32 threads each, that work on one world."""
-COLUMNS = 8
-"""Others that are looked at together: 64 x 8 pairs are 4 to a thread."""
-LEAST = 16
-"""Fewer particles than this are left to XLA."""
+Body = Callable[..., Any]
+SumOver = Callable[[Callable[[Any], Any], Any], Any]
+"""Takes a function and arrays (k,), its rows; the function makes arrays (some, n) of some of the rows. Returns
+their sums over all rows, each (n,)."""
 
-OfPairs = Callable[..., tuple[Array, ...]]
+WARP, MOST_WARPS = 32, 8
+"""Threads in a warp, and warps that work on one world, at most: one thread for each entry of the state's vectors."""
+PIECE = 256
+"""Entries of a matrix (some, n) that a kernel looks at together, 4 of each thread for 64 particles: the fastest
+on an H200, among 256, 512 and 1024."""
+ROOM = 16
+"""Vectors that fit on a kernel's desk (see ``kernel``)."""
 
 
-def sum_over_others(function: OfPairs, *inputs: Array) -> tuple[Array, ...]:
-    """Sums over the others of what is between every particle and each of them.
+def walk(body: Body, carry: Any, moments: Any, still: Any) -> Any:
+    """Carry a state from moment to moment.
 
-    On an NVIDIA GPU, for n a power of two, it is one kernel; everywhere else, and in derivatives, XLA compiles it.
+    On an NVIDIA GPU it is one kernel, if all sizes are powers of two; everywhere else, and in derivatives, XLA
+    compiles it. In a kernel there are scalars and vectors, elementwise operations, broadcasts to matrices and
+    sums and maxima over their axes; no slices, no joining, no constant arrays.
 
     Args:
-        function: takes the inputs of some particles and those of some others, and gives a tuple of arrays
-            (some, others). It may use elementwise operations and broadcasts.
-        inputs: of all n particles (n,), or of the world (), float32.
+        body: takes the state, the number of the turn, what moves at its beginning and at its end, what is
+            still, and how to sum over the rows of matrices; returns the state after it.
+        carry: the state at the beginning, arrays () or (n,).
+        moments: what moves, arrays with a leading axis T: (T,) or (T, k).
+        still: arrays () or (k,).
 
     Returns:
-        sums over the others, each (n,).
+        the state after T - 1 turns.
     """
-    n = max(x.size for x in inputs)
-    if n < LEAST or n & (n - 1):
-        return _by_xla(function, *inputs)
-    return _either(function, *inputs)
+    trees = carry, _moment(moments, 0), still
+    sizes = {n for x in jax.tree.leaves(trees) for n in x.shape}
+    if any(n & (n - 1) or not n for n in sizes):
+        return _by_xla(body, carry, moments, still)
+    return _either(body, carry, moments, still)
 
 
-def _by_xla(function: OfPairs, *inputs: Array) -> tuple[Array, ...]:
-    return tuple(jnp.sum(x, axis=1) for x in function(inputs, inputs))
+def at_once(function: Callable[[Any], Any], rows: Any) -> Any:
+    """The sums of ``SumOver``, of all rows together."""
+    return jax.tree.map(lambda x: jnp.sum(x, axis=0), function(rows))
+
+
+def widen(x: Array, value: float) -> Array:
+    """Fill the last axis up to the next power of two, as kernels need it."""
+    size = x.shape[-1]
+    more = (1 << max(size - 1, 0).bit_length()) - size
+    return jnp.concatenate([x, jnp.full((*x.shape[:-1], more), value, x.dtype)], axis=-1)
+
+
+def _by_xla(body: Body, carry: Any, moments: Any, still: Any) -> Any:
+    def turn(state: tuple, moment: tuple) -> tuple[tuple, None]:
+        (carry, before), (i, now) = state, moment
+        return (body(carry, i, before, now, still, at_once), now), None
+
+    later = _moment(moments, slice(1, None))
+    turns = jnp.arange(len(jax.tree.leaves(later)[0]), dtype=jnp.int32)
+    (carry, _), _ = jax.lax.scan(turn, (carry, _moment(moments, 0)), (turns, later))
+    return carry
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _either(function: OfPairs, *inputs: Array) -> tuple[Array, ...]:
+def _either(body: Body, *world: Any) -> Any:
     return jax.lax.platform_dependent(
-        *inputs, cuda=partial(kernel, function), default=partial(_by_xla, function)
+        *world, cuda=partial(kernel, body), default=partial(_by_xla, body)
     )
 
 
 @_either.defjvp
-def _either_jvp(function: OfPairs, inputs: tuple[Array, ...], changes: tuple[Array, ...]) -> tuple:
-    return jax.jvp(partial(_by_xla, function), inputs, changes)
+def _either_jvp(body: Body, world: tuple, changes: tuple) -> tuple:
+    return jax.jvp(partial(_by_xla, body), world, changes)
 
 
-def kernel(function: OfPairs, *inputs: Array, interpret: bool = False) -> tuple[Array, ...]:
-    """What ``sum_over_others`` does on an NVIDIA GPU; with ``interpret``, step by step anywhere."""
+def kernel(body: Body, carry: Any, moments: Any, still: Any, *, interpret: bool = False) -> Any:
+    """What ``walk`` does on an NVIDIA GPU; with ``interpret``, step by step anywhere.
+
+    Sums over rows that are more than a piece go piece by piece: the rows are laid on a desk, in memory that all
+    threads of the world's program can read. (A register is only read by its own thread.)
+    """
     from jax.experimental import pallas  # takes half a second, and only matter needs it
     from jax.experimental.pallas import triton
 
-    n = max(x.size for x in inputs)
-    some = [jnp.zeros(min(COLUMNS, n)) if x.ndim else x for x in inputs]
-    outputs = len(jax.eval_shape(function, inputs, some))
+    state, motion, rest = _Layout(carry), _Layout(moments), _Layout(still)
+    starts, moving, resting = state.pack(carry, 0), motion.pack(moments, 1), rest.pack(still, 0)
+    count = _longest(carry)
+    piece, warps = max(PIECE // count, 1), min(max(count // WARP, 1), MOST_WARPS)
 
-    def program(*refs) -> None:
-        given, made = refs[: len(inputs)], refs[len(inputs) :]
+    def program(*refs: Any) -> None:
+        first, second, third = len(starts), len(starts + moving), len(starts + moving + resting)
+        moved, rested, desk = refs[first:second], refs[second:third], refs[-1]
 
-        def read(at: Array | int, size: int) -> list[Array]:
-            pairs = zip(given, inputs, strict=True)
-            return [ref[pallas.ds(at, size)] if x.ndim else ref[0] for ref, x in pairs]
+        def barrier() -> None:
+            if not interpret:
+                triton.debug_barrier()
 
-        own = read(0, n)
+        def sum_over(function: Callable[..., Any], rows: Any) -> Any:
+            leaves, structure = jax.tree.flatten(rows)
+            size = _longest(rows)
+            if size <= piece:
+                return at_once(function, rows)
+            if len(leaves) > ROOM:
+                raise ValueError(
+                    f"The desk of a kernel has room for {ROOM} vectors, got {len(leaves)}."
+                )
+            barrier()  # all have read what was there before
+            for i, x in enumerate(leaves):
+                desk[i, pallas.ds(0, size)] = x
+            barrier()
 
-        def add(i: Array, sums: tuple[Array, ...]) -> tuple[Array, ...]:
-            more = function(own, read(i * COLUMNS, COLUMNS))
-            return tuple(a + b for a, b in zip(sums, more, strict=True))
+            def read(at: Array | int) -> Any:
+                parts = (desk[i, pallas.ds(at, piece)] for i in range(len(leaves)))
+                return structure.unflatten(parts)
 
-        if n <= COLUMNS:
-            sums = function(own, own)
-        else:
-            zeros = (jnp.zeros((n, COLUMNS), jnp.float32),) * outputs
-            sums = jax.lax.fori_loop(0, n // COLUMNS, add, zeros)
-        for ref, x in zip(made, sums, strict=True):
-            ref[...] = jnp.sum(x, axis=1)
+            def more(i: Array, sums: Any) -> Any:
+                return jax.tree.map(jnp.add, sums, at_once(function, read(i * piece)))
 
-    return tuple(
-        pallas.pallas_call(
-            program,
-            out_shape=(jax.ShapeDtypeStruct((n,), jnp.float32),) * outputs,
-            compiler_params=triton.CompilerParams(num_warps=WARPS),
-            interpret=interpret,
-        )(*map(jnp.atleast_1d, inputs))
-    )
+            sums = jax.eval_shape(partial(at_once, function), read(0))
+            zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), sums)
+            return jax.lax.fori_loop(0, size // piece, more, zeros)
+
+        def turn(i: Array, carry: Any) -> Any:
+            before, now = motion.read(moved, i), motion.read(moved, i + 1)
+            return body(carry, i, before, now, rest.read(rested), sum_over)
+
+        turns = len(moving[0]) - 1
+        after = jax.lax.fori_loop(0, turns, turn, state.read(refs[:first]))
+        state.write(refs[third:-1], after)
+
+    sizes = max(count, _longest(_moment(moments, 0)), _longest(still))
+    *made, _ = pallas.pallas_call(
+        program,
+        out_shape=[jax.ShapeDtypeStruct(x.shape, x.dtype) for x in starts]
+        + [jax.ShapeDtypeStruct((ROOM, sizes), jnp.float32)],
+        compiler_params=triton.CompilerParams(num_warps=warps, num_stages=1),
+        interpret=interpret,
+    )(*starts, *moving, *resting)
+    return state.read(made)
+
+
+def _moment(moments: Any, at: int | slice) -> Any:
+    return jax.tree.map(lambda x: x[at], moments)
+
+
+def _longest(tree: Any) -> int:
+    return max(x.size for x in jax.tree.leaves(tree))
+
+
+class _Layout:
+    """How a tree of arrays is kept in few: those of one shape and type in one, so that a kernel has few addresses."""
+
+    def __init__(self, tree: Any) -> None:
+        leaves, self.structure = jax.tree.flatten(tree)
+        kinds = [(x.shape, x.dtype) for x in leaves]
+        self.kinds = list(dict.fromkeys(kinds))
+        self.places = [(self.kinds.index(x), kinds[:i].count(x)) for i, x in enumerate(kinds)]
+
+    def pack(self, tree: Any, axis: int) -> list[Array]:
+        """The arrays that keep a tree of this layout, stacked along a new axis."""
+        kept: list[list[Array]] = [[] for _ in self.kinds]
+        for (which, _), x in zip(self.places, jax.tree.leaves(tree), strict=True):
+            kept[which].append(x)
+        return [jnp.stack(group, axis) for group in kept]
+
+    def read(self, kept: Any, *at: Array) -> Any:
+        """The tree; of one moment, if the first axis is of moments."""
+        return self.structure.unflatten([kept[which][*at, i] for which, i in self.places])
+
+    def write(self, kept: Any, tree: Any) -> None:
+        """Set what is kept."""
+        for (which, i), x in zip(self.places, jax.tree.leaves(tree), strict=True):
+            kept[which][i] = x

@@ -21,22 +21,29 @@ DEVIATION(one-way): particles do not push back on tool, robot and person: they w
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from agym_jax.matter.pushes import CALM, EAGER, push_out, push_pairs, push_vessel
+from agym_jax.matter.one_kernel import SumOver, walk, widen
+from agym_jax.matter.pushes import CALM, EAGER, push_out, push_pairs, push_vessel, solid_pushes
 from agym_jax.matter.shapes import (
     Boxes,
     Capsules,
-    Touching,
+    Ends,
+    Quat,
     Xyz,
     add,
+    boxes_touching,
+    capsules_touching,
     columns,
+    each,
     floor_touching,
     length,
-    rotation,
+    quat_columns,
+    rotation_rows,
     scale,
     sub,
     turn,
@@ -46,6 +53,8 @@ from agym_jax.matter.vessels import CUP, SPOON, Vessel
 
 AWAY = 100.0
 """Masked particles are computed this far from each other and from everything [m]."""
+NOWHERE = -1e6
+"""Sizes and coordinates of solids that are not there [m]."""
 
 
 @dataclass(frozen=True)
@@ -126,14 +135,23 @@ class Contact:
 class _Moving:
     """The obstacles that move, at one substep; over all of them with a leading axis."""
 
-    pos_w: Array  # of the vessel                                           (3,)
-    rot_w: Array  # of the vessel                                           (3, 3)
-    a_w: Array  # ends of the person's capsules                             (k, 3)
-    b_w: Array  # the same                                                  (k, 3)
+    pos_w: Xyz  # of the vessel                                             each ()
+    rot_w: tuple[Xyz, Xyz, Xyz]  # rows, of the vessel                      each ()
+    ends_w: Ends  # of the person's capsules                                each (k,)
 
     def local(self, pos_w: Xyz) -> Xyz:
         """In the vessel's frame, from the world [m], each (n,)."""
-        return turn_back(self.rot_w, sub(pos_w, columns(self.pos_w)))
+        return turn_back(self.rot_w, sub(pos_w, self.pos_w))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Still:
+    """What does not change from substep to substep."""
+
+    radius: Array  # of the person's capsules                               (k,)
+    furniture: tuple[Xyz, Quat, Xyz]  # as Boxes.columns                    each (b,)
+    floor: Array  # height [m]                                              ()
 
 
 def step(
@@ -184,22 +202,13 @@ def advance(
     vel = tuple(jnp.where(alive, x, 0.0) for x in columns(particles.vel_w))
 
     moments = _interpolate(motion, spec.substeps)
-    first = jax.tree.map(lambda x: x[0], moments)
-    local, alone = first.local(pos), jnp.zeros_like(masked)
-    _, contacts = push_pairs(spec.radius, spec.friction, local, local, alone, jnp.float32(CALM), h)
+    radius, furniture = jax.tree.map(_widen, (motion.person.radius, motion.furniture.columns()))
+    still = _Still(radius, furniture, motion.floor)
+    local, alone = jax.tree.map(lambda x: x[0], moments).local(pos), jnp.zeros(spec.count)
+    _, contacts = push_pairs(spec.radius, spec.friction, local, local, alone, CALM, h)
     unseen = (jnp.zeros(spec.count, bool),) * 4
-
-    def substep(carry: tuple, moment: tuple[_Moving, Array]) -> tuple[tuple, None]:
-        (pos, vel, contacts, before, seen), (now, begins) = carry, moment
-        pos, vel, contacts, touched = _substep(spec, pos, vel, contacts, before, now, motion, h)
-        seen = tuple((a & ~begins) | b for a, b in zip(seen, touched, strict=True))
-        return (pos, vel, contacts, now, seen), None
-
-    later = jax.tree.map(lambda x: x[1:], moments)
-    begins = jnp.arange(len(later.pos_w)) % spec.substeps == 0  # a physics step
-    carry, _ = jax.lax.scan(substep, (pos, vel, contacts, first, unseen), (later, begins))
-    pos, vel = (jnp.stack(x, -1) for x in carry[:2])
-    seen = carry[-1]
+    carry = walk(partial(_substep, spec, h), (pos, vel, contacts, unseen), moments, still)
+    (pos, vel), seen = (jnp.stack(x, -1) for x in carry[:2]), carry[-1]
     moves = alive & _is_finite(pos, vel)
     kept = jnp.where(jnp.isfinite(particles.pos_w), particles.pos_w, 0.0)
     moved = Particles(
@@ -212,41 +221,51 @@ def advance(
 
 
 def _substep(
-    spec: ParticleSpec, start: Xyz, vel: Xyz, contacts: Array, before: _Moving, now: _Moving,
-    motion: Obstacles, h: float,
-) -> tuple[Xyz, Xyz, Array, tuple[Array, ...]]:  # fmt: skip
-    """One substep of length h [s]: positions, velocities, pair contacts, and who touched what."""
-    radius, friction = spec.radius, spec.friction
+    spec: ParticleSpec, h: float, carry: tuple, number: Array, before: _Moving, now: _Moving, still: _Still,
+    sum_over: SumOver,
+) -> tuple:  # fmt: skip
+    """One substep of length h [s].
+
+    Args:
+        spec: of the particles.
+        h: its length [s].
+        carry: positions, velocities, contacts with others, and what was touched in the physics step.
+        number: how many substeps were before.
+        before: what moves, at its beginning.
+        now: what moves, at its end.
+        still: what does not.
+        sum_over: how to sum over solids, and over other particles.
+
+    Returns:
+        the same as ``carry``, afterwards.
+    """
+    (start, vel, contacts, seen), radius, friction = carry, spec.radius, spec.friction
     vel = (vel[0], vel[1], vel[2] + spec.gravity * h)
     vel = scale(jnp.minimum(1.0, spec.max_speed / length(vel)), vel)
     free = add(start, scale(h, vel))
 
-    then = Capsules(before.a_w, before.b_w, motion.person.radius)
-    solids = (
-        Capsules(now.a_w, now.b_w, motion.person.radius).touching(free, then),
-        motion.furniture.touching(free),
-        floor_touching(free, motion.floor),
+    pushes = partial(solid_pushes, radius, friction, free, start)
+    capsules = now.ends_w, before.ends_w, still.radius
+    groups = (
+        sum_over(lambda x: pushes(capsules_touching(free, *x)), capsules),
+        sum_over(lambda x: pushes(boxes_touching(free, *x)), still.furniture),
+        sum_over(lambda x: pushes(floor_touching(free, x)), still.floor),
     )
-    pos, touched = push_out(radius, friction, free, start, Touching.join(solids))
-    last = len(motion.person.radius)
-    on_person, on_seat = jnp.any(touched[:last], axis=0), jnp.any(touched[last:-1], axis=0)
+    pos = push_out(free, groups)
 
     old, local = before.local(start), now.local(pos)
-
-    def sweep(carry: tuple, crowd: Array) -> tuple[tuple, None]:
-        local, contacts, on_vessel = carry
-        local, contacts = push_pairs(radius, friction, local, old, contacts, crowd, h)
-        local, touched = push_vessel(spec.vessel, radius, friction, local, old, h)
-        return (local, contacts, on_vessel | touched), None
-
-    crowds = jnp.array([EAGER] * (spec.sweeps - 1) + [CALM], jnp.float32)
-    untouched = jnp.zeros(spec.count, bool)
-    carry, _ = jax.lax.scan(sweep, (local, contacts, untouched), crowds, unroll=True)
-    pushed, contacts, on_vessel = carry
+    pushed, on_vessel = local, jnp.zeros(spec.count, bool)
+    for crowd in (EAGER,) * (spec.sweeps - 1) + (CALM,):
+        pushed, contacts = push_pairs(radius, friction, pushed, old, contacts, crowd, h, sum_over)
+        pushed, touched = push_vessel(spec.vessel, radius, friction, pushed, old, h)
+        on_vessel = on_vessel | touched
     # from differences: exact where nothing pushes, and in float32 far from the origin
     pos = add(pos, turn(now.rot_w, sub(pushed, local)))
     vel = scale(1.0 - spec.damping * h, add(vel, scale(1.0 / h, sub(pos, free))))
-    return pos, vel, contacts, (on_vessel, on_person, on_seat, touched[-1])
+    goes_on = jax.lax.rem(number, spec.substeps) != 0  # the physics step has begun before
+    touched = (on_vessel, *(count > 0 for _, count in groups))
+    seen = tuple((a & goes_on) | b for a, b in zip(seen, touched, strict=True))
+    return pos, vel, contacts, seen
 
 
 def _is_finite(pos: Array, vel: Array) -> Array:
@@ -268,8 +287,10 @@ def _interpolate(motion: Obstacles, substeps: int) -> _Moving:
         return jnp.concatenate([x[:1], between.reshape(n_steps * substeps, *x.shape[1:])])
 
     return _Moving(
-        pos_w=fill(motion.vessel_pos_w),
-        rot_w=rotation(fill(quat)),
-        a_w=fill(motion.person.a_w),
-        b_w=fill(motion.person.b_w),
+        pos_w=each(fill, columns(motion.vessel_pos_w)),
+        rot_w=rotation_rows(*quat_columns(fill(quat))),
+        ends_w=jax.tree.map(lambda x: fill(_widen(x)), motion.person.ends()),
     )
+
+
+_widen = partial(widen, value=NOWHERE)

@@ -9,13 +9,13 @@ Vectors are three arrays of coordinates (``shapes.Xyz``).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from functools import partial, reduce
 
 import jax.numpy as jnp
 from jax import Array
 from jax.lax import rsqrt
 
-from agym_jax.matter.one_kernel import sum_over_others
+from agym_jax.matter.one_kernel import SumOver, at_once
 from agym_jax.matter.shapes import TINY, Touching, Xyz, add, dot, each, scale, sub
 from agym_jax.matter.vessels import Vessel
 
@@ -30,10 +30,14 @@ pile to its bottom; the calm one always shrinks what is left. Measured on 64 set
 substeps of 2 ms: worst overlap 0.48 mm and mean speed 0.9 mm/s, with calm ones only 0.93 mm and 1.3 mm/s."""
 
 
-def push_out(
+_Crowd = tuple[Xyz, Xyz, Array]
+"""Where particles are, where they were, and which share of a push each of them takes."""
+
+
+def solid_pushes(
     radius: float, friction: float, pos: Xyz, start: Xyz, solids: Touching
 ) -> tuple[Xyz, Array]:
-    """Push particles out of k solids: the mean of the pushes, for a particle that touches several.
+    """How far k solids push n particles out of them.
 
     Args:
         radius: of a particle [m].
@@ -43,19 +47,35 @@ def push_out(
         solids: their distances from them.
 
     Returns:
-        where particles are then, and which touched which solid (k, n).
+        pushes [m], each (k, n), and 1 where a solid touches a particle, else 0 (k, n).
     """
     depth = jnp.maximum(radius - solids.dist, 0.0)
-    touched = depth > 0
     slid = _tangential(sub(sub(pos, start), solids.moved), solids.normal)
     undo = jnp.minimum(1.0, friction * depth * rsqrt(_square(slid)))
-    push = _total(sub(scale(depth, solids.normal), scale(undo, slid)))
-    count = jnp.sum(touched, axis=0, dtype=depth.dtype)
-    return add(pos, scale(1.0 / jnp.maximum(count, 1.0), push)), touched
+    return sub(scale(depth, solids.normal), scale(undo, slid)), _is_positive(depth)
+
+
+def push_out(pos: Xyz, groups: Sequence[tuple[Xyz, Array]]) -> Xyz:
+    """Push particles out of groups of solids: the mean of the pushes, for a particle that touches several.
+
+    Args:
+        pos: where particles are [m], each (n,).
+        groups: sums of ``solid_pushes`` over solids, each (n,).
+    """
+    push = reduce(add, [pushes for pushes, _ in groups])
+    count = reduce(jnp.add, [touched for _, touched in groups])
+    return add(pos, scale(1.0 / jnp.maximum(count, 1.0), push))
 
 
 def push_pairs(
-    radius: float, friction: float, local: Xyz, old: Xyz, contacts: Array, crowd: Array, h: float
+    radius: float,
+    friction: float,
+    local: Xyz,
+    old: Xyz,
+    contacts: Array,
+    crowd: float,
+    h: float,
+    sum_over: SumOver = at_once,
 ) -> tuple[Xyz, Array]:
     """One Jacobi sweep over all pairs; both of a pair are pushed alike, so momentum stays.
 
@@ -65,15 +85,17 @@ def push_pairs(
         local: where they are [m], each (n,).
         old: where they were at the beginning of the substep.
         contacts: with others, of each particle in the last sweep (n,).
-        crowd: ``EAGER`` or ``CALM`` ().
+        crowd: ``EAGER`` or ``CALM``.
         h: length of the substep [s].
+        sum_over: how to sum over the others.
 
     Returns:
         where they are then, and their contacts in this sweep.
     """
-    shifts = partial(_pair_shifts, radius, friction, h)
-    x, y, z, touched = sum_over_others(shifts, *local, *old, contacts, crowd)
-    return add(local, (x, y, z)), touched - 1.0
+    weight = 0.5 * jnp.minimum(1.0, crowd / jnp.maximum(contacts, 1.0))
+    shifts = partial(_pair_pushes, radius, friction, h, (local, old, weight))
+    pushes, touched = sum_over(shifts, (local, old, weight))
+    return add(local, pushes), touched - 1.0
 
 
 def push_vessel(
@@ -103,16 +125,12 @@ def push_vessel(
     return sub(local, scale(undo, slid)), depth > 0
 
 
-def _pair_shifts(
-    radius: float, friction: float, h: float, some: Sequence[Array], others: Sequence[Array]
-) -> tuple[Array, ...]:
-    """How far each of the others pushes each of some particles, along x, y and z, and whether it does (s, o).
-
-    Both are described as in ``push_pairs``: local, old, contacts, crowd.
-    """
-    (x, y, z, *then, contacts, crowd), (a, b, c, *then_of, contacts_of, _) = some, others
-    apart = _from_to((x, y, z), (a, b, c))
-    were = _from_to((then[0], then[1], then[2]), (then_of[0], then_of[1], then_of[2]))
+def _pair_pushes(
+    radius: float, friction: float, h: float, some: _Crowd, others: _Crowd
+) -> tuple[Xyz, Array]:
+    """How far each of o others pushes each of s particles, each (o, s), and whether it touches (o, s)."""
+    (local, old, weight), (local_of, old_of, weight_of) = some, others
+    apart, were = _from_to(local_of, local), _from_to(old_of, old)
     moved = sub(apart, were)
     square, square_then = _square(apart), _square(were)
     inverse = rsqrt(square)
@@ -121,23 +139,20 @@ def _pair_shifts(
     depth = jnp.maximum(clear - square * inverse, 0.0)
     along = dot(moved, apart) * inverse * inverse
     slid = jnp.maximum(dot(moved, moved) - along * along * square, TINY)
-    weight, weight_of = (
-        0.5 * jnp.minimum(1.0, crowd / jnp.maximum(x, 1.0)) for x in (contacts, contacts_of)
-    )
-    both = jnp.minimum(weight[:, None], weight_of[None])
+    both = jnp.minimum(weight[None], weight_of[:, None])
     undo = both * jnp.minimum(1.0, friction * depth * rsqrt(slid))
     push = both * depth * inverse + undo * along
-    return *sub(scale(push, apart), scale(undo, moved)), (depth > 0).astype(depth.dtype)
+    return sub(scale(push, apart), scale(undo, moved)), _is_positive(depth)
 
 
 def _from_to(a: Xyz, b: Xyz) -> Xyz:
-    """To each of a (first axis) from each of b (second)."""
-    return each(lambda x, y: x[:, None] - y[None], a, b)
+    """From each of a (first axis) to each of b (second)."""
+    return each(lambda x, y: y[None] - x[:, None], a, b)
 
 
-def _total(a: Xyz) -> Xyz:
-    """Sums over the first axis."""
-    return jnp.sum(a[0], axis=0), jnp.sum(a[1], axis=0), jnp.sum(a[2], axis=0)
+def _is_positive(x: Array) -> Array:
+    """As a number, 1 or 0."""
+    return (x > 0).astype(x.dtype)
 
 
 def _tangential(a: Xyz, normal: Xyz) -> Xyz:

@@ -21,6 +21,10 @@ TINY = 1e-12
 
 Xyz = tuple[Array, Array, Array]
 """Coordinates x, y and z of vectors."""
+Quat = tuple[Array, Array, Array, Array]
+"""Parts w, x, y and z of quaternions."""
+Ends = tuple[Xyz, Xyz]
+"""Both ends of capsules."""
 
 
 @jax.tree_util.register_dataclass
@@ -31,11 +35,6 @@ class Touching:
     dist: Array  # signed, from the surface [m]                             (k, n)
     normal: Xyz  # outward unit vector                                      each (k, n)
     moved: Xyz  # how far the solid's nearest material moved [m]            each (k, n)
-
-    @staticmethod
-    def join(groups: Sequence[Touching]) -> Touching:
-        """The solids of several groups, one after the other."""
-        return jax.tree.map(lambda *x: jnp.concatenate(x), *groups)
 
 
 @jax.tree_util.register_dataclass
@@ -54,18 +53,11 @@ class Capsules:
             points_w: world [m], each (n,).
             before: where the capsules were at the beginning of the step.
         """
-        a, axis = columns(self.a_w[:, None]), columns((self.b_w - self.a_w)[:, None])
-        from_a = sub(points_w, a)
-        share = jnp.clip(dot(from_a, axis) / jnp.maximum(dot(axis, axis), TINY), 0.0, 1.0)
-        off = sub(from_a, scale(share, axis))
-        gap = length(off)
-        moved_a = columns((self.a_w - before.a_w)[:, None])
-        moved_b = columns((self.b_w - before.b_w)[:, None])
-        return Touching(
-            dist=gap - self.radius[:, None],
-            normal=scale(1.0 / gap, off),
-            moved=add(moved_a, scale(share, sub(moved_b, moved_a))),
-        )
+        return capsules_touching(points_w, self.ends(), before.ends(), self.radius)
+
+    def ends(self) -> Ends:
+        """Both ends, in columns."""
+        return columns(self.a_w), columns(self.b_w)
 
 
 @jax.tree_util.register_dataclass
@@ -83,24 +75,48 @@ class Boxes:
         Args:
             points_w: world [m], each (n,).
         """
-        rot, half = rotation(self.quat_w[:, None]), columns(self.half[:, None])
-        rot = jnp.moveaxis(rot, (-2, -1), (0, 1))
-        local = turn_back(rot, sub(points_w, columns(self.pos_w[:, None])))
-        excess = each(lambda x, h: jnp.abs(x) - h, local, half)
-        outside = each(lambda e: jnp.maximum(e, 0.0), excess)
-        deepest = jnp.maximum(jnp.maximum(excess[0], excess[1]), excess[2])
-        gap, is_out = length(outside), deepest > 0
-        face = each(lambda e: (e == deepest).astype(gap.dtype), excess)
-        face = scale(1.0 / (face[0] + face[1] + face[2]), face)
-        towards = each(
-            lambda x, o, f: jnp.sign(x) * jnp.where(is_out, o / gap, f), local, outside, face
-        )
-        still = jnp.zeros_like(gap)
-        return Touching(
-            dist=jnp.where(is_out, gap, deepest),
-            normal=turn(rot, towards),
-            moved=(still, still, still),
-        )
+        return boxes_touching(points_w, *self.columns())
+
+    def columns(self) -> tuple[Xyz, Quat, Xyz]:
+        """Centres, quaternions and half sizes, in columns."""
+        return columns(self.pos_w), quat_columns(self.quat_w), columns(self.half)
+
+
+def capsules_touching(points_w: Xyz, now: Ends, then: Ends, radius: Array) -> Touching:
+    """Distances of points, each (n,), from k capsules: ends [m] as they are and as they were, radii [m]."""
+    (a, b), (a_then, b_then) = (tuple(map(_upright, ends)) for ends in (now, then))
+    axis = sub(b, a)
+    from_a = sub(points_w, a)
+    share = jnp.clip(dot(from_a, axis) / jnp.maximum(dot(axis, axis), TINY), 0.0, 1.0)
+    off = sub(from_a, scale(share, axis))
+    gap = length(off)
+    moved_a, moved_b = sub(a, a_then), sub(b, b_then)
+    return Touching(
+        dist=gap - radius[:, None],
+        normal=scale(1.0 / gap, off),
+        moved=add(moved_a, scale(share, sub(moved_b, moved_a))),
+    )
+
+
+def boxes_touching(points_w: Xyz, pos_w: Xyz, quat_w: Quat, half: Xyz) -> Touching:
+    """Distances of points, each (n,), from k boxes as ``Boxes`` has them, in columns."""
+    rot = [_upright(row) for row in rotation_rows(*quat_w)]
+    local, half = turn_back(rot, sub(points_w, _upright(pos_w))), _upright(half)
+    excess = each(lambda x, h: jnp.abs(x) - h, local, half)
+    outside = each(lambda e: jnp.maximum(e, 0.0), excess)
+    deepest = jnp.maximum(jnp.maximum(excess[0], excess[1]), excess[2])
+    gap, is_out = length(outside), deepest > 0
+    face = each(lambda e: (e == deepest).astype(gap.dtype), excess)
+    face = scale(1.0 / (face[0] + face[1] + face[2]), face)
+    towards = each(
+        lambda x, o, f: jnp.sign(x) * jnp.where(is_out, o / gap, f), local, outside, face
+    )
+    still = jnp.zeros_like(gap)
+    return Touching(
+        dist=jnp.where(is_out, gap, deepest),
+        normal=turn(rot, towards),
+        moved=(still, still, still),
+    )
 
 
 def floor_touching(points_w: Xyz, height: Array) -> Touching:
@@ -122,19 +138,33 @@ def no_boxes() -> Boxes:
 
 def rotation(quat: Array) -> Array:
     """Rotation matrices (..., 3, 3) of quaternions wxyz (..., 4), which need not be normalised."""
-    quat = quat / jnp.sqrt(jnp.maximum(jnp.sum(quat * quat, -1, keepdims=True), TINY))
-    w, x, y, z = (quat[..., i] for i in range(4))
-    rows = (
+    return jnp.stack([jnp.stack(row, -1) for row in rotation_rows(*quat_columns(quat))], -2)
+
+
+def rotation_rows(w: Array, x: Array, y: Array, z: Array) -> tuple[Xyz, Xyz, Xyz]:
+    """Their rows, all entries (...), of the columns of quaternions (...)."""
+    size = jnp.sqrt(jnp.maximum(w * w + x * x + y * y + z * z, TINY))
+    w, x, y, z = w / size, x / size, y / size, z / size
+    return (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
 
 
 def columns(points: Array) -> Xyz:
     """Coordinates of points (..., 3), each (...)."""
     return points[..., 0], points[..., 1], points[..., 2]
+
+
+def quat_columns(quat: Array) -> Quat:
+    """Parts w, x, y and z of quaternions (..., 4), each (...)."""
+    return quat[..., 0], quat[..., 1], quat[..., 2], quat[..., 3]
+
+
+def _upright(a: Xyz) -> Xyz:
+    """Of k solids, each (k,) -> (k, 1), against points (n,)."""
+    return each(lambda x: x[:, None], a)
 
 
 def each(function: Callable[..., Array], *vectors: Xyz) -> Xyz:
@@ -168,11 +198,12 @@ def scale(factor: Array | float, a: Xyz) -> Xyz:
     return factor * a[0], factor * a[1], factor * a[2]
 
 
-def turn(rot: Array, a: Xyz) -> Xyz:
-    """Vectors turned by rotation matrices, whose rows and columns are the first two axes (3, 3, ...)."""
-    return each(lambda row: row[0] * a[0] + row[1] * a[1] + row[2] * a[2], (rot[0], rot[1], rot[2]))
+def turn(rows: Sequence[Xyz], a: Xyz) -> Xyz:
+    """Vectors turned by rotation matrices, given by their three rows."""
+    return dot(rows[0], a), dot(rows[1], a), dot(rows[2], a)
 
 
-def turn_back(rot: Array, a: Xyz) -> Xyz:
-    """Vectors turned by the inverses of rotation matrices (3, 3, ...)."""
-    return turn(jnp.swapaxes(rot, 0, 1), a)
+def turn_back(rows: Sequence[Xyz], a: Xyz) -> Xyz:
+    """Vectors turned by the inverses of rotation matrices, given by their three rows."""
+    x, y, z = rows
+    return turn(((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])), a)

@@ -32,13 +32,12 @@ import numpy as np
 from jax import Array
 from jax.lax import rsqrt
 
+from agym_jax.matter.cloth_kernel import InArrays, Rows, Show, State, advance
 from agym_jax.matter.shapes import TINY, Capsules, Xyz, add, columns, dot, each, length, scale, sub
-from agym_jax.matter.weave import ClothSpec, Pairs
+from agym_jax.matter.weave import ClothSpec, Sweep, Tables, tables
 
 HEALING = 0.2
 """Share of an old overlap with a solid that heals in a substep: by displacement, without speed or force."""
-RELAXED = 1.0
-"""Bound on the share of a vertex's bending errors that one substep undoes; above 4/3 they could grow."""
 HELD = 1.8
 """Fingers hold cloth until its most stretched edge is so many times as long as at rest."""
 SLIDES, GATHERS = 3.0, 0.5
@@ -114,36 +113,12 @@ def step(
     Returns:
         cloth, and what the solids felt. A vertex counts for the solid that it touched last.
     """
-    fabric, vel_before = spec.fabric, cloth.vel_w
-    h = dt / spec.substeps
-    relax, free = _relaxation(spec, h, held), _free(spec, held)
+    h, vel_before = dt / spec.substeps, cloth.vel_w
     mass = jnp.asarray(spec.mass, jnp.float32)
-
-    def between(a: Array, b: Array, share: Array) -> Array:
-        return a + share * (b - a)
-
-    def solids(share: Array) -> Capsules:
-        ends = between(start.a_w, end.a_w, share), between(start.b_w, end.b_w, share)
-        return Capsules(*ends, end.radius)
-
-    def substep(carry: tuple, share: Array) -> tuple[tuple, None]:
-        pos, vel, pushed, touched = carry
-        anchors = columns(between(anchors_start, anchors_end, share))
-        fallen = _fall(spec, pos, vel, h)
-        moved = relax(_hold(spec, fallen, anchors, held), anchors)
-        then, now = solids(share - 1.0 / spec.substeps), solids(share)
-        push, heal, which = _push_out(spec, free, moved, pos, then, now, floor)
-        after = add(moved, push)
-        vel = scale((1.0 - fabric.damping * h) / h, sub(after, pos))
-        touched = jnp.where(which >= 0, which, touched)
-        return (add(after, heal), vel, add(pushed, push), touched), None
-
-    shares = jnp.arange(1, spec.substeps + 1) / spec.substeps
-    still = jnp.zeros(spec.count)
-    nothing = (still, still, still), jnp.full(spec.count, -1, jnp.int32)
-    carry = (columns(cloth.pos_w), columns(cloth.vel_w), *nothing)
-    (pos, vel, pushed, touched), _ = jax.lax.scan(substep, carry, shares)
-    moved = Cloth(pos_w=jnp.stack(pos, -1), vel_w=jnp.stack(vel, -1))
+    substep = partial(_substep, spec, h, len(end.radius), floor)
+    way = _way(spec.substeps, start, end, anchors_start, anchors_end)
+    *after, pushed, touched = advance(substep, tables(spec, h), cloth.pos_w, cloth.vel_w, way, held)
+    moved = Cloth(*after)
     broken = ~(jnp.isfinite(moved.pos_w).all() & jnp.isfinite(moved.vel_w).all())
     kept = Cloth(_finite(cloth.pos_w), jnp.zeros_like(cloth.vel_w))
     cloth = jax.tree.map(lambda a, b: jnp.where(broken, a, b), kept, moved)
@@ -176,7 +151,7 @@ def _grip(spec: ClothSpec, before: Array, after: Array, net_w: Array, dt: float)
 def _stretch(spec: ClothSpec, pos_w: Array) -> Array:
     """Greatest length of an edge, over that at rest ()."""
     edges, pos = spec.edges, columns(pos_w)
-    rows = [sub(each(partial(_take, at=at), pos), pos) for at in edges.partner]
+    rows = [sub(_look(InArrays(pos), at), pos) for at in edges.partner]
     squared = jnp.stack([dot(off, off) for off in rows])
     return jnp.sqrt(jnp.max(squared * jnp.asarray((edges.active / edges.rest) ** 2, jnp.float32)))
 
@@ -208,86 +183,99 @@ def _finite(x: Array) -> Array:
     return jnp.where(jnp.isfinite(x), x, 0.0)
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Way:
+    """Where the a anchors and the k solids are in each of s substeps; ``Rows`` of one of them in the physics."""
+
+    anchors: Array  # at its end, world [m]                                 (s, 3, a)
+    a: Array  # one end of each capsule, at its end, world [m]              (s, 3, k)
+    axis: Array  # from there to the other end [m]                          (s, 3, k)
+    moved: Array  # how far the one end moved in it [m]                     (s, 3, k)
+    turned: Array  # how much farther the other end moved [m]               (s, 3, k)
+    inverse: Array  # 1 / squared length [1/m^2]                            (s, 1, k)
+    radius: Array  # [m]                                                    (s, 1, k)
+
+
+def _way(
+    substeps: int, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array
+) -> _Way:
+    """Straight lines, cut into substeps."""
+    share = jnp.arange(substeps + 1)[:, None, None] / substeps
+
+    def between(a: Array, b: Array) -> Array:
+        return a.T + share * (b - a).T
+
+    a, b = between(start.a_w, end.a_w), between(start.b_w, end.b_w)
+    axis = b - a
+    squared = jnp.maximum(jnp.sum(axis**2, 1, keepdims=True), TINY)
+    return _Way(
+        anchors=between(anchors_start, anchors_end)[1:],
+        a=a[1:],
+        axis=axis[1:],
+        moved=a[1:] - a[:-1],
+        turned=axis[1:] - axis[:-1],
+        inverse=1.0 / squared[1:],
+        radius=jnp.broadcast_to(end.radius, (substeps, 1, len(end.radius))),
+    )
+
+
+def _substep(
+    spec: ClothSpec, h: float, solids: int, floor: float | None, tables: Tables, moment: _Way, show: Show, state: State,
+) -> State:  # fmt: skip
+    """The state after h [s], among a number of solids."""
+    pos, vel, pushed, touched = state
+    free, tether = tables.free[0], tables.tether[0]
+    anchor = _look(moment.anchors, tether)
+    fallen = each(partial(jnp.where, free > 0), _fall(spec, pos, vel, h), anchor)
+    moved = _relax(spec, tables, show, fallen, anchor)
+    push, heal, which = _push_out(spec, free, moved, pos, moment, solids, floor)
+    after = add(moved, push)
+    vel = scale((1.0 - spec.fabric.damping * h) / h, sub(after, pos))
+    return add(after, heal), vel, add(pushed, push), jnp.where(which >= 0, which, touched)
+
+
+def _look(rows: Rows, at: int | Array) -> Xyz:
+    """Vectors of some numbers, from rows x, y and z."""
+    return rows[0, at], rows[1, at], rows[2, at]
+
+
 def _fall(spec: ClothSpec, pos: Xyz, vel: Xyz, h: float) -> Xyz:
     """Where free vertices would be after h [s]."""
     vel = (vel[0], vel[1], vel[2] + spec.fabric.gravity * h)
     return add(pos, scale(h * jnp.minimum(1.0, spec.fabric.max_speed / length(vel)), vel))
 
 
-def _free(spec: ClothSpec, held: Array | None) -> Array:
-    """1 for vertices that nothing holds (n,)."""
-    loose = jnp.asarray(spec.held < 0, jnp.float32)
-    return loose if held is None else jnp.where(held, loose, 1.0)
-
-
-def _hold(spec: ClothSpec, pos: Xyz, anchors: Xyz, held: Array | None) -> Xyz:
-    """Anchored vertices where the gripper has them."""
-    slot = np.maximum(spec.held, 0)
-    there = spec.held >= 0 if held is None else (spec.held >= 0) & held
-    return each(lambda x, a: jnp.where(there, _take(a, slot), x), pos, anchors)
-
-
-def _relaxation(spec: ClothSpec, h: float, held: Array | None):
-    """A function of positions and anchors: one sweep over hinges, tethers and edges."""
-    hinge, edge = (jnp.asarray(x, jnp.float32) for x in _all_shares(spec, spec.held >= 0, h))
-    pulled = jnp.asarray(spec.held < 0, jnp.float32)
-    if held is not None:
-        loose = _all_shares(spec, np.zeros(spec.count, bool), h)
-        hinge, edge = (jnp.where(held, a, b) for a, b in zip((hinge, edge), loose, strict=True))
-        pulled = jnp.where(held, pulled, 0.0)
-    rows = range(len(edge))
-
-    def relax(pos: Xyz, anchors: Xyz) -> Xyz:
-        bent = [_pull(spec.hinges, hinge, row, pos) for row in range(len(hinge))]
-        for shift in bent:
-            pos = add(pos, shift)
-        off = sub(pos, each(partial(_take, at=spec.tether), anchors))
-        inverse_length = rsqrt(jnp.maximum(dot(off, off), TINY))
-        excess = pulled * jnp.maximum(
-            1.0 - jnp.asarray(spec.reach, jnp.float32) * inverse_length, 0.0
-        )
-        pos = sub(pos, scale(excess, off))
-        for row in rows:
-            pos = add(pos, _pull(spec.edges, edge, row, pos))
-        return pos
-
-    return relax
-
-
-def _all_shares(spec: ClothSpec, held: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """Shares of hinges and of edges, (r, n) each, while some vertices (n,) are held."""
-    inverse = np.where(held, 0.0, 1.0 / spec.mass)
-    hinge, edge = (_shares(p, inverse, h) for p in (spec.hinges, spec.edges))
-    crowd = np.maximum(hinge.sum(0), 1e-9) / RELAXED
-    # the same for both of a pair: momentum stays
-    crowd = np.maximum(crowd, crowd[spec.hinges.partner])
-    return hinge / np.maximum(crowd, 1.0), edge
-
-
-def _shares(pairs: Pairs, inverse: np.ndarray, h: float) -> np.ndarray:
-    """Share of a pair's error that its first vertex undoes in a substep (r, n)."""
-    both = inverse + inverse[pairs.partner] + pairs.compliance / h**2
-    return pairs.active * inverse / np.maximum(both, 1e-12)
-
-
-def _pull(pairs: Pairs, share: Array, row: int, pos: Xyz) -> Xyz:
-    """How one row of pairs moves every vertex [m], each (n,)."""
-    partner = pairs.partner[row]
-    off = sub(each(partial(_take, at=partner), pos), pos)
+def _relax(spec: ClothSpec, tables: Tables, show: Show, pos: Xyz, anchor: Xyz) -> Xyz:
+    """One sweep over hinges, tethers and edges. Each vertex has its ``anchor``."""
+    seen, before = show(pos), pos
+    for row in range(len(spec.hinges.partner)):
+        pos = add(pos, _pull(tables.hinges, row, before, seen))
+    off = sub(pos, anchor)
     inverse_length = rsqrt(jnp.maximum(dot(off, off), TINY))
-    rest = jnp.asarray(pairs.rest[row], jnp.float32)
-    return scale(share[row] * (1.0 - rest * inverse_length), off)
+    excess = tables.free[0] * jnp.maximum(1.0 - tables.reach[0] * inverse_length, 0.0)
+    pos = sub(pos, scale(excess, off))
+    for row in range(len(spec.edges.partner)):
+        pos = add(pos, _pull(tables.edges, row, pos, show(pos)))
+    return pos
+
+
+def _pull(pairs: Sweep, row: int, pos: Xyz, seen: Rows) -> Xyz:
+    """How one row of pairs moves every vertex [m], each (n,)."""
+    off = sub(_look(seen, pairs.partner[row]), pos)
+    inverse_length = rsqrt(jnp.maximum(dot(off, off), TINY))
+    return scale(pairs.share[row] * (1.0 - pairs.rest[row] * inverse_length), off)
 
 
 def _push_out(
-    spec: ClothSpec, free: Array, pos: Xyz, start: Xyz, then: Capsules, now: Capsules, floor: float | None,
+    spec: ClothSpec, free: Array, pos: Xyz, start: Xyz, moment: _Way, solids: int, floor: float | None,
 ) -> tuple[Xyz, Xyz, Array]:  # fmt: skip
     """How free vertices are pushed out of the nearest solid, and healed besides, and which solid that is, -1 for none.
 
     A push undoes what moved inwards within the substep, and up to friction * push of what slid along the solid.
     What was inside before is healed by displacement.
     """
-    which, dist, normal, carried = _nearest(pos, then, now, floor)
+    which, dist, normal, carried = _nearest(pos, moment, solids, floor)
     went = sub(sub(pos, start), carried)
     inwards = dot(went, normal)
     overlap = free * jnp.maximum(spec.fabric.thickness - dist, 0.0)
@@ -301,40 +289,41 @@ def _push_out(
 
 
 def _nearest(
-    pos: Xyz, then: Capsules, now: Capsules, floor: float | None
+    pos: Xyz, moment: _Way, solids: int, floor: float | None
 ) -> tuple[Array, Array, Xyz, Xyz]:
     """Nearest solid of each vertex: which, its distance [m], its normal, how far it moved [m]; each (n,).
 
     The floor comes after the capsules.
     """
-    count, still = len(now.radius), scale(jnp.float32(0.0), pos)
-    which, dist = jnp.full_like(pos[0], count, jnp.int32), jnp.full_like(pos[0], jnp.inf)
+    still = scale(jnp.float32(0.0), pos)
+    which, dist = jnp.full_like(pos[0], solids, jnp.int32), jnp.full_like(pos[0], jnp.inf)
     normal = carried = still
-    if count:
-        which, dist, normal, carried = _nearest_capsule(pos, then, now)
+    if solids:
+        which, dist, normal, carried = _nearest_capsule(pos, moment, solids)
     if floor is not None:
         above = pos[2] - floor
         lower = above < dist
-        which, dist = jnp.where(lower, count, which), jnp.minimum(above, dist)
+        which, dist = jnp.where(lower, solids, which), jnp.minimum(above, dist)
         x, y, z = (jnp.where(lower, 0.0, n) for n in normal)
         normal = x, y, jnp.where(lower, 1.0, z)
         carried = each(lambda c: jnp.where(lower, 0.0, c), carried)
     return which, dist, normal, carried
 
 
-def _nearest_capsule(pos: Xyz, then: Capsules, now: Capsules) -> tuple[Array, Array, Xyz, Xyz]:
+def _nearest_capsule(pos: Xyz, moment: _Way, count: int) -> tuple[Array, Array, Xyz, Xyz]:
     """The same among capsules. Only distances are of all: everything else is computed again for the one."""
-    which = jnp.argmin(now.touching(pos, then).dist, axis=0).astype(jnp.int32)
-    own = lambda x: each(partial(_take, at=which), columns(x))  # noqa: E731
-    a, b, moved_a, moved_b = map(own, (now.a_w, now.b_w, now.a_w - then.a_w, now.b_w - then.b_w))
-    from_a, axis = sub(pos, a), sub(b, a)
-    share = jnp.clip(dot(from_a, axis) / jnp.maximum(dot(axis, axis), TINY), 0.0, 1.0)
-    off = sub(from_a, scale(share, axis))
+
+    def offset(k: int | Array) -> tuple[Array, Xyz]:
+        """Where along its axis a capsule is nearest, in 0..1, and the way from there [m]."""
+        from_a, axis = sub(pos, _look(moment.a, k)), _look(moment.axis, k)
+        share = jnp.clip(dot(from_a, axis) * moment.inverse[0, k], 0.0, 1.0)
+        return share, sub(from_a, scale(share, axis))
+
+    which, least = jnp.zeros_like(pos[0], jnp.int32), jnp.full_like(pos[0], jnp.inf)
+    for k in range(count):
+        dist = length(offset(k)[1]) - moment.radius[0, k]
+        which, least = jnp.where(dist < least, k, which), jnp.minimum(dist, least)
+    share, off = offset(which)
     gap = length(off)
-    carried = add(moved_a, scale(share, sub(moved_b, moved_a)))
-    return which, gap - _take(now.radius, which), scale(1.0 / gap, off), carried
-
-
-def _take(x: Array, at: Array | np.ndarray) -> Array:
-    """Entries that exist; checking that they do would cost more than taking them."""
-    return x.at[at].get(mode="promise_in_bounds")
+    carried = add(_look(moment.moved, which), scale(share, _look(moment.turned, which)))
+    return which, gap - moment.radius[0, which], scale(1.0 / gap, off), carried

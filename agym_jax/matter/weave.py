@@ -12,6 +12,7 @@ import heapq
 import math
 from dataclasses import dataclass
 
+import jax
 import numpy as np
 
 from agym_jax.matter.garment import Garment, GarmentError, check, check_edges
@@ -27,6 +28,10 @@ cloth folds less from hinge to hinge, so its springs are stiffer by the square o
 equal moment at any resolution."""
 USUAL_SUBSTEPS = 5
 """For such edges. Finer cloth takes more sweeps to be as stiff: more by the square of the fineness."""
+ANYWHERE = 1e6
+"""How far from its anchor a vertex may be while nothing holds the cloth [m]."""
+RELAXED = 1.0
+"""Bound on the share of a vertex's bending errors that one substep undoes; above 4/3 they could grow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +108,64 @@ class ClothSpec:
     def count(self) -> int:
         """n, vertices."""
         return len(self.mass)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """What one sweep reads of pairs: row by row, while the cloth is held [0] and while it is not [1]."""
+
+    partner: np.ndarray  # the other vertex                                 (2, r, n) int32
+    rest: np.ndarray  # distance at rest [m]                                (2, r, n)
+    share: np.ndarray  # of the pair's error that a vertex undoes           (2, r, n)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """What a substep reads of the cloth: while it is held [0] and while it is not [1]."""
+
+    hinges: Sweep
+    edges: Sweep
+    free: np.ndarray  # 1 for vertices that nothing holds, else 0           (2, 1, n)
+    tether: np.ndarray  # the anchor that holds it, or else the nearest     (2, 1, n) int32
+    reach: np.ndarray  # no vertex is farther from it [m]                   (2, 1, n)
+
+
+def tables(spec: ClothSpec, h: float) -> Tables:
+    """Tables for substeps of h [s]."""
+    anchored = spec.held >= 0
+    cases = anchored, np.zeros_like(anchored)
+    hinge, edge = zip(*(_all_shares(spec, held, h) for held in cases), strict=True)
+    both = lambda x: np.stack([x, x])  # noqa: E731
+
+    def sweep(pairs: Pairs, shares: tuple[np.ndarray, ...]) -> Sweep:
+        rest, share = (x.astype(np.float32) for x in (both(pairs.rest), np.stack(shares)))
+        return Sweep(partner=both(pairs.partner.astype(np.int32)), rest=rest, share=share)
+
+    return Tables(
+        hinges=sweep(spec.hinges, hinge),
+        edges=sweep(spec.edges, edge),
+        free=np.stack([~held[None] for held in cases]).astype(np.float32),
+        tether=both(np.where(anchored, spec.held, spec.tether).astype(np.int32)[None]),
+        reach=np.stack([spec.reach[None], np.full((1, spec.count), ANYWHERE)]).astype(np.float32),
+    )
+
+
+def _all_shares(spec: ClothSpec, held: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of hinges and of edges, (r, n) each, while some vertices (n,) are held."""
+    inverse = np.where(held, 0.0, 1.0 / spec.mass)
+    hinge, edge = (_shares(p, inverse, h) for p in (spec.hinges, spec.edges))
+    crowd = np.maximum(hinge.sum(0), 1e-9) / RELAXED
+    # the same for both of a pair: momentum stays
+    crowd = np.maximum(crowd, crowd[spec.hinges.partner])
+    return hinge / np.maximum(crowd, 1.0), edge
+
+
+def _shares(pairs: Pairs, inverse: np.ndarray, h: float) -> np.ndarray:
+    """Share of a pair's error that its first vertex undoes in a substep (r, n)."""
+    both = inverse + inverse[pairs.partner] + pairs.compliance / h**2
+    return pairs.active * inverse / np.maximum(both, 1e-12)
 
 
 def weave(garment: Garment, fabric: Fabric = Fabric(), thinnest: float = 0.027) -> ClothSpec:

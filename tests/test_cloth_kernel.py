@@ -1,0 +1,101 @@
+# ruff: noqa: D103
+"""The cloth's GPU kernel, step by step on a CPU, against what XLA compiles of the same physics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cloth_world import DT, sheet
+
+from agym_jax.matter import cloth as fabrics
+from agym_jax.matter.cloth import Cloth, anchor_positions, initial, step
+from agym_jax.matter.cloth_kernel import kernel
+from agym_jax.matter.garment import load
+from agym_jax.matter.shapes import Capsules
+from agym_jax.matter.weave import ClothSpec, Fabric, weave
+
+WORLDS = 3
+FLOOR = -0.3
+
+
+def small() -> ClothSpec:
+    """A sheet of 63 vertices: one less than a program has."""
+    return weave(sheet(0.2, 0.15, 0.025), Fabric(substeps=3))
+
+
+def worlds(spec: ClothSpec) -> tuple[Cloth, Capsules, Capsules, jax.Array]:
+    """Cloth that moves, two capsules that move into it, and whether it is held."""
+    rng = np.random.default_rng(0)
+    still = initial(spec, jnp.zeros(3))
+    speed = rng.normal(0.0, 0.5, (WORLDS, spec.count, 3)).astype(np.float32)
+    pos = jnp.broadcast_to(still.pos_w, speed.shape) - 0.05 * jnp.arange(WORLDS)[:, None, None]
+    a = np.tile(np.float32([[0.0, -0.04, -0.1], [0.1, -0.05, -0.05]]), (WORLDS, 1, 1))
+    start = Capsules(
+        jnp.asarray(a), jnp.asarray(a + np.float32([0.1, 0.0, 0.02])), jnp.full(a.shape[:2], 0.03)
+    )
+    end = replace(start, a_w=start.a_w + 0.01, b_w=start.b_w + 0.02)
+    return Cloth(pos, jnp.asarray(speed)), start, end, jnp.array([True, False, True])
+
+
+def stepped(spec: ClothSpec, steps: int) -> Callable:
+    """A function of ``worlds`` that gives the cloth and what was felt in each of some physics steps."""
+    at = anchor_positions(spec, jnp.zeros(3))
+
+    def run(cloth: Cloth, start: Capsules, end: Capsules, held: jax.Array) -> tuple:
+        one = lambda c, _: step(spec, c, start, end, at, at + 0.002, DT, held, FLOOR)  # noqa: E731
+        return jax.lax.scan(one, cloth, length=steps)
+
+    return jax.vmap(run)
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_cloth_is_the_same_in_one_kernel(monkeypatch: pytest.MonkeyPatch, whole: bool):
+    spec = weave(load()) if whole else small()
+    given = worlds(spec)
+    expected = jax.jit(stepped(spec, 1 if whole else 4))(*given)
+    monkeypatch.setattr(fabrics, "advance", partial(kernel, interpret=True))
+    made = jax.jit(stepped(spec, 1 if whole else 4))(*given)
+    cloth, touch = expected
+    assert touch.total.sum() > 1.0 and not touch.broken.any()
+    assert np.abs(cloth.pos_w - given[0].pos_w).max() > 1e-3
+    for a, b in zip(jax.tree.leaves(made), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(made[0].pos_w, cloth.pos_w, atol=2e-6)
+
+
+def test_a_kernel_without_a_word_on_the_anchors_holds(monkeypatch: pytest.MonkeyPatch):
+    spec = small()
+    cloth, start, end, _ = jax.tree.map(lambda x: x[0], worlds(spec))
+    at = anchor_positions(spec, jnp.zeros(3))
+    one = lambda held: step(spec, cloth, start, end, at, at, DT, held)[0].pos_w  # noqa: E731
+    expected = one(jnp.bool_(True))
+    monkeypatch.setattr(fabrics, "advance", partial(kernel, interpret=True))
+    np.testing.assert_allclose(one(None), expected, atol=1e-6)
+
+
+def test_a_gpu_runs_one_kernel_in_a_physics_step():
+    spec = weave(load())
+    lowered = jax.jit(stepped(spec, 1)).trace(*worlds(spec)).lower(lowering_platforms=("cuda",))
+    assert lowered.as_text().count("__gpu$xla.gpu.triton") == 1
+
+
+def test_cloth_has_derivatives():
+    spec = small()
+    cloth, start, end, held = jax.tree.map(lambda x: x[0], worlds(spec))
+    at = anchor_positions(spec, jnp.zeros(3))
+
+    def height(lift: jax.Array) -> jax.Array:
+        up = jnp.array([0.0, 0.0, 1.0]) * lift
+        moved = replace(end, a_w=end.a_w + up, b_w=end.b_w + up)
+        return step(spec, cloth, start, moved, at, at, DT, held)[0].pos_w[:, 2].mean()
+
+    near = 1e-3
+    slope = (height(jnp.float32(near)) - height(jnp.float32(-near))) / (2 * near)
+    np.testing.assert_allclose(jax.grad(height)(jnp.float32(0.0)), slope, rtol=0.1)
+    assert abs(slope) > 1e-3

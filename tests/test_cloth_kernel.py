@@ -79,6 +79,17 @@ def test_a_kernel_without_a_word_on_the_anchors_holds(monkeypatch: pytest.Monkey
     np.testing.assert_allclose(one(None), expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("interpret", [False, True])
+def test_a_solid_that_is_nowhere_breaks_the_cloth(monkeypatch: pytest.MonkeyPatch, interpret: bool):
+    spec = small()
+    cloth, start, end, held = jax.tree.map(lambda x: x[0], worlds(spec))
+    at, lost = anchor_positions(spec, jnp.zeros(3)), replace(end, a_w=end.a_w.at[0].set(jnp.nan))
+    if interpret:
+        monkeypatch.setattr(fabrics, "advance", partial(kernel, interpret=True))
+    after, touch = jax.jit(lambda c: step(spec, c, start, lost, at, at, DT, held))(cloth)
+    assert touch.broken and np.isfinite(after.pos_w).all() and not touch.total.any()
+
+
 def test_a_gpu_runs_one_kernel_in_a_physics_step():
     spec = weave(load())
     lowered = jax.jit(stepped(spec, 1)).trace(*worlds(spec)).lower(lowering_platforms=("cuda",))

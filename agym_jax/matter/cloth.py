@@ -11,8 +11,8 @@ between two vertices whose edge is stretched to several times its length a limb 
 limits: no vertex is farther from its nearest anchor than the way along the cloth. They carry the weight of what
 hangs, which single sweeps would take long to hand up to the gripper.
 
-Nothing is scattered, and between two gathers everything belongs to one vertex: XLA makes one kernel of each
-colour, and the last one does the contacts too.
+Nothing is scattered, and between two gathers everything belongs to one vertex. On an NVIDIA GPU all substeps are
+one kernel (``cloth_kernel``); elsewhere XLA makes one of each colour, and the last one does the contacts too.
 
 DEVIATION(no-self-contact): cloth does not touch itself, as AG's does not. Bending keeps the sleeve open.
 DEVIATION(grip-slips): a gown that is caught slides through the fingers instead of being pulled through the limb;
@@ -322,7 +322,8 @@ def _nearest_capsule(pos: Xyz, moment: _Way, count: int) -> tuple[Array, Array, 
     which, least = jnp.zeros_like(pos[0], jnp.int32), jnp.full_like(pos[0], jnp.inf)
     for k in range(count):
         dist = length(offset(k)[1]) - moment.radius[0, k]
-        which, least = jnp.where(dist < least, k, which), jnp.minimum(dist, least)
+        nearer = (dist < least) | jnp.isnan(dist)  # where a solid is nowhere, neither is the cloth
+        which, least = jnp.where(nearer, k, which), jnp.minimum(dist, least)
     share, off = offset(which)
     gap = length(off)
     carried = add(_look(moment.moved, which), scale(share, _look(moment.turned, which)))

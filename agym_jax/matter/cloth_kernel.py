@@ -23,7 +23,8 @@ from jax import Array
 from agym_jax.matter.shapes import Xyz, columns
 
 WARPS = 16
-"""Of 32 threads each, that work on one world: 2 vertices of a gown to a thread, in 128 registers without spilling."""
+"""Of 32 threads each, that work on one world: 2 vertices of a gown to a thread, whose state fits into its registers.
+On an H200 Dressing is faster with them than with 8."""
 KERNEL_ON = "cuda"
 """NVIDIA GPUs."""
 
@@ -185,7 +186,7 @@ def kernel(
 
         start = *(tuple(x[own, c] for c in range(3)) for x in (pos_w, vel_w)), *_untouched(size)
         pos, vel, pushed, touched = jax.lax.fori_loop(0, substeps, one, start)
-        for ref, vectors in zip(made, (pos, vel), strict=False):
+        for ref, vectors in zip(made[:2], (pos, vel), strict=True):
             for c, x in enumerate(vectors):
                 ref[own, c] = x
         for ref, x in zip(made[2:], (*pushed, touched), strict=True):

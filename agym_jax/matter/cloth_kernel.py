@@ -20,14 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from agym_jax.matter.one_kernel import kernel_or_xla
 from agym_jax.matter.shapes import Xyz, columns
 
 WARPS = 16
 """Of 32 threads each, that work on one world: 2 vertices of a gown to a thread, whose state fits into its registers.
 On an H200 Dressing is faster with them than with 8."""
-KERNEL_ON = "cuda"
-"""NVIDIA GPUs."""
-
 At = int | tuple[int, int | Array]
 """A row, or a row and numbers in it."""
 
@@ -97,9 +95,10 @@ def advance(
         positions [m] and velocities [m/s] (n, 3), how far solids have pushed each vertex [m], each (n,), and the
         number of the last one that did, -1 for none (n,) int32.
     """
+    by_xla, by_kernel = (partial(way, substep, tables) for way in (_by_xla, kernel))
     if any(x.size == 0 for x in jax.tree.leaves(path)):
-        return _by_xla(substep, tables, pos_w, vel_w, path, held)
-    return _either(substep, tables, pos_w, vel_w, path, held)
+        return by_xla(pos_w, vel_w, path, held)
+    return kernel_or_xla(by_kernel, by_xla, pos_w, vel_w, path, held)
 
 
 def _by_xla(
@@ -118,20 +117,6 @@ def _by_xla(
     start = columns(pos_w), columns(vel_w), *_untouched(len(pos_w))
     (pos, vel, pushed, touched), _ = jax.lax.scan(one, start, path)
     return jnp.stack(pos, -1), jnp.stack(vel, -1), pushed, touched
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _either(substep: Substep, tables: Any, *inputs: Any) -> tuple[Array, Array, Xyz, Array]:
-    return jax.lax.platform_dependent(
-        *inputs,
-        default=partial(_by_xla, substep, tables),
-        **{KERNEL_ON: partial(kernel, substep, tables)},
-    )
-
-
-@_either.defjvp
-def _either_jvp(substep: Substep, tables: Any, inputs: tuple, changes: tuple) -> tuple:
-    return jax.jvp(partial(_by_xla, substep, tables), inputs, changes)
 
 
 def _untouched(n: int) -> tuple[Xyz, Array]:

@@ -49,7 +49,7 @@ def walk(body: Body, carry: Any, moments: Any, still: Any) -> Any:
     sizes = {n for x in jax.tree.leaves(trees) for n in x.shape}
     if any(n & (n - 1) or not n for n in sizes):
         return _by_xla(body, carry, moments, still)
-    return _either(body, carry, moments, still)
+    return kernel_or_xla(partial(kernel, body), partial(_by_xla, body), carry, moments, still)
 
 
 def at_once(function: Callable[[Any], Any], rows: Any) -> Any:
@@ -75,16 +75,17 @@ def _by_xla(body: Body, carry: Any, moments: Any, still: Any) -> Any:
     return carry
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _either(body: Body, *world: Any) -> Any:
-    return jax.lax.platform_dependent(
-        *world, cuda=partial(kernel, body), default=partial(_by_xla, body)
-    )
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def kernel_or_xla(by_kernel: Callable[..., Any], by_xla: Callable[..., Any], *inputs: Any) -> Any:
+    """One of two functions that do the same: the first on an NVIDIA GPU, the second elsewhere and in derivatives."""
+    return jax.lax.platform_dependent(*inputs, cuda=by_kernel, default=by_xla)
 
 
-@_either.defjvp
-def _either_jvp(body: Body, world: tuple, changes: tuple) -> tuple:
-    return jax.jvp(partial(_by_xla, body), world, changes)
+@kernel_or_xla.defjvp
+def _jvp_of_xla(
+    _: Callable[..., Any], by_xla: Callable[..., Any], inputs: tuple, changes: tuple
+) -> tuple:
+    return jax.jvp(by_xla, inputs, changes)
 
 
 def kernel(body: Body, carry: Any, moments: Any, still: Any, *, interpret: bool = False) -> Any:

@@ -156,9 +156,9 @@ def seeds(folder: Path = RESULTS) -> str:
     def cell(robot: str, person: str | None) -> str:
         return f"{of[robot, person]['success']:.0%}, {of[robot, person]['return_mean']:.0f}"
 
-    head = ["robot", *(person or "still person" for person in people)]
+    head = ["robot, person:", *(person or "still" for person in people)]
     rows = [[robot, *(cell(robot, person) for person in people)] for robot in robots]
-    note = f"{several(x['env'] for x in lines)}, success and return, {several(x['episodes'] for x in lines)} people;"
+    note = f"{several(x['env'] for x in lines if x['person_policy'])}, success and return, {several(x['episodes'] for x in lines)} people;"
     return grid([head, *rows], lines, note)
 
 

@@ -2,8 +2,8 @@
 
     python -m benchmarks.training_speed --env-name FeedingJacoHuman-v0 --learners 1 2 --devices 1 2
 
-All learn with the settings of two learners. One learner is a policy that sees and moves robot and person together
-(``train.ppo --allow-joint-observation``). Every device has as many worlds. Compiling does not count.
+One learner is a policy that sees and moves robot and person together (``train.ppo --allow-joint-observation``).
+Every device has as many worlds. Compiling does not count.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import tyro
@@ -23,6 +23,7 @@ from benchmarks.keep import keep
 from train import coop, ppo
 from train.configs import Config, CoopConfig, Count, PPOConfig, config_for, resolve
 from train.envs import make_env
+from train.progress import for_terminal
 
 CALLS = 10
 """Calls of the compiled training in one measurement, after a first one that does not count."""
@@ -34,7 +35,7 @@ class TrainingSpeedConfig:
 
     env_name: str = "FeedingJacoHuman-v0"
     """Environment id; with two learners, one whose person acts too."""
-    learners: tuple[int, ...] = (1, 2)
+    learners: tuple[Literal[1, 2], ...] = (1, 2)
     """How many policies learn."""
     devices: tuple[int, ...] = (1,)
     """How many devices share the work."""
@@ -52,10 +53,11 @@ def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[st
     """Train for a while; returns the fields of the result line."""
     env = make_env(config.env_name, config.impl)
     if learners == 2:
-        result = coop.train(env, _settings(config_for(env.name, CoopConfig), config, devices))
+        both = config_for(env.name, CoopConfig)
+        result = coop.train(env, _settings(both, config, devices), for_terminal())
     else:
         joint = dataclasses.replace(config_for(env.name, PPOConfig), allow_joint_observation=True)
-        result = ppo.train(env, _settings(joint, config, devices))
+        result = ppo.train(env, _settings(joint, config, devices), for_terminal())
     speeds = [row["steps_per_second"] for row in result.curve[1:]]
     return {
         "env": env.name,

@@ -12,7 +12,7 @@ from jax import Array
 
 from agym_jax.matter.cloth import Cloth, Touch, give_way, in_hand, initial, step
 from agym_jax.matter.garment import Garment
-from agym_jax.matter.shapes import Capsules, no_capsules
+from agym_jax.matter.shapes import Capsules, capsules_touching, no_capsules
 from agym_jax.matter.sleeve import Arm, crossed, dressed, progress, watched_vertices, worn
 from agym_jax.matter.weave import ClothSpec
 from agym_jax.tasks.dressing import BELOW_HAND, UP, held_at, swivel
@@ -173,5 +173,6 @@ def pull_on(
 def _depth(pos_w: Array, capsules: Capsules, spec: ClothSpec) -> Array:
     """Most that a free vertex lies inside the arm's surface [m] ()."""
     points = tuple(pos_w[:, i] for i in range(3))
-    dist = capsules.touching(points, capsules).dist.min(0)
+    ends = capsules.ends()
+    dist = capsules_touching(points, ends, ends, capsules.radius).dist.min(0)
     return jnp.maximum(-jnp.where(jnp.asarray(spec.held < 0), dist, 1.0).min(), 0.0)

@@ -72,7 +72,7 @@ def test_speed_of_training_counts_every_call_but_the_first(monkeypatch):
     def make(name, impl):
         return SimpleNamespace(name=name, impl=impl)
 
-    def train(env, settings):
+    def train(env, settings, progress):
         rows = [{"steps_per_second": v} for v in (1.0, 30.0, 50.0, 40.0)]
         steps = settings.num_env_steps
         return SimpleNamespace(curve=rows, config=settings, env_steps=steps, nan_steps=0)
@@ -89,3 +89,9 @@ def test_speed_of_training_counts_every_call_but_the_first(monkeypatch):
 def test_speed_of_training_an_unknown_environment_says_what_exists(capsys):
     assert training_speed.main(["--env-name", "FeedingJackoHuman-v0"]) == 2
     assert "Did you mean 'FeedingJacoHuman-v0'" in capsys.readouterr().err
+
+
+def test_speed_of_training_knows_one_learner_and_two(capsys):
+    with pytest.raises(SystemExit):
+        training_speed.main(["--learners", "3"])
+    assert "1" in (said := capsys.readouterr().err) and "2" in said and "3" in said

@@ -15,6 +15,8 @@ from agym_jax.matter.particles import FOOD, WATER, ParticleSpec
 from agym_jax.matter.shapes import (
     Boxes,
     Capsules,
+    boxes_touching,
+    capsules_touching,
     columns,
     dot,
     floor_touching,
@@ -161,7 +163,7 @@ def test_capsules() -> None:
     points = cloud([0.5, 0.5, 1.0], 1.0)
     now = Capsules(*(jnp.asarray(x, jnp.float32) for x in (a, b, radius)))
     before = Capsules(now.a_w - moved, now.b_w - moved, now.radius)
-    seen = jax.jit(now.touching)(xyz(points), before)
+    seen = jax.jit(capsules_touching)(xyz(points), now.ends(), before.ends(), now.radius)
     share = np.linspace(0, 1, 1000)[:, None]
     for k in range(2):
         segment = a[k] + share * (b[k] - a[k])
@@ -176,7 +178,9 @@ def test_capsules() -> None:
 def test_a_turning_capsule_moves_where_it_is_touched() -> None:
     before = Capsules(jnp.zeros((1, 3)), jnp.array([[1.0, 0, 0]]), jnp.array([0.1]))
     now = Capsules(jnp.zeros((1, 3)), jnp.array([[1.0, 0, 0.04]]), jnp.array([0.1]))
-    seen = now.touching(xyz(np.array([[0.25, 0, 0.2], [2.0, 0, 0]])), before)
+    seen = capsules_touching(
+        xyz(np.array([[0.25, 0, 0.2], [2.0, 0, 0]])), now.ends(), before.ends(), now.radius
+    )
     np.testing.assert_allclose(seen.moved[2], [[0.01, 0.04]], atol=5e-4)
 
 
@@ -189,7 +193,7 @@ def test_boxes() -> None:
     )
     box = Boxes(*(jnp.asarray(x, jnp.float32)[None] for x in (pos, quat, half)))
     points = cloud(pos, 0.4)
-    seen = jax.jit(box.touching)(xyz(points))
+    seen = jax.jit(boxes_touching)(xyz(points), *box.columns())
     local = (points - pos) @ rot
     nearest = np.clip(local, -half, half)
     outside = np.linalg.norm(local - nearest, axis=1)
@@ -207,7 +211,10 @@ def test_the_floor_and_nothing() -> None:
     floor = floor_touching(points, jnp.float32(0.1))
     np.testing.assert_allclose(floor.dist, [[0.3, -0.2]], atol=1e-6)
     nobody = no_capsules()
-    for nothing in (nobody.touching(points, nobody), no_boxes().touching(points)):
+    for nothing in (
+        capsules_touching(points, nobody.ends(), nobody.ends(), nobody.radius),
+        boxes_touching(points, *no_boxes().columns()),
+    ):
         assert nothing.dist.shape == nothing.normal[2].shape == (0, 2)
 
 
@@ -219,7 +226,8 @@ def test_gradients_are_finite_where_lengths_are_zero() -> None:
     def total(point: jax.Array) -> jax.Array:
         p = columns(point[None])
         walls = sum(jnp.sum(v.wall(*p)[0]) + jnp.sum(v.reach(p[2])) for v in (CUP, SPOON))
-        return jnp.sum(ball.touching(p, ball).dist) + jnp.sum(box.touching(p).dist) + walls
+        in_ball = capsules_touching(p, ball.ends(), ball.ends(), ball.radius)
+        return jnp.sum(in_ball.dist) + jnp.sum(boxes_touching(p, *box.columns()).dist) + walls
 
     brim = [CUP.brim[0], 0.0, CUP.brim[1]]
     points = jnp.array([[0.0, 0, 0], [0.0, 0, 0.05], brim, [0.0, SPOON.trough, 0.001]])

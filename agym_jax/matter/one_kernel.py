@@ -22,8 +22,7 @@ their sums over all rows, each (n,)."""
 WARP, MOST_WARPS = 32, 8
 """Threads in a warp, and warps that work on one world, at most: one thread for each entry of the state's vectors."""
 PIECE = 256
-"""Entries of a matrix (some, n) that a kernel looks at together, 4 of each thread for 64 particles: the fastest
-on an H200, among 256, 512 and 1024."""
+"""Entries of a matrix (some, n) that a kernel looks at together: 4 of each thread for 64 particles."""
 ROOM = 16
 """Vectors that fit on a kernel's desk (see ``kernel``)."""
 

@@ -46,15 +46,6 @@ class Capsules:
     b_w: Array  # the other [m]                                             (k, 3)
     radius: Array  # [m]                                                    (k,)
 
-    def touching(self, points_w: Xyz, before: Capsules) -> Touching:
-        """Distances of points from the capsules as they are now.
-
-        Args:
-            points_w: world [m], each (n,).
-            before: where the capsules were at the beginning of the step.
-        """
-        return capsules_touching(points_w, self.ends(), before.ends(), self.radius)
-
     def ends(self) -> Ends:
         """Both ends, in columns."""
         return columns(self.a_w), columns(self.b_w)
@@ -68,14 +59,6 @@ class Boxes:
     pos_w: Array  # centres [m]                                             (k, 3)
     quat_w: Array  # wxyz                                                   (k, 4)
     half: Array  # half sizes [m]                                           (k, 3)
-
-    def touching(self, points_w: Xyz) -> Touching:
-        """Distances of points from the boxes: exact outside, from the nearest face inside.
-
-        Args:
-            points_w: world [m], each (n,).
-        """
-        return boxes_touching(points_w, *self.columns())
 
     def columns(self) -> tuple[Xyz, Quat, Xyz]:
         """Centres, quaternions and half sizes, in columns."""
@@ -99,7 +82,7 @@ def capsules_touching(points_w: Xyz, now: Ends, then: Ends, radius: Array) -> To
 
 
 def boxes_touching(points_w: Xyz, pos_w: Xyz, quat_w: Quat, half: Xyz) -> Touching:
-    """Distances of points, each (n,), from k boxes as ``Boxes`` has them, in columns."""
+    """Distances of points, each (n,), from k boxes, in columns: exact outside, from the nearest face inside."""
     rot = [_upright(row) for row in rotation_rows(*quat_w)]
     local, half = turn_back(rot, sub(points_w, _upright(pos_w))), _upright(half)
     excess = each(lambda x, h: jnp.abs(x) - h, local, half)

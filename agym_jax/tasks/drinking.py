@@ -26,7 +26,7 @@ from agym_jax.furniture import WHEELCHAIR_UP_CLOSE
 from agym_jax.matter.checks import check
 from agym_jax.matter.particles import WATER, Contact, Particles, ParticleSpec, advance
 from agym_jax.matter.settle import fill, load_settled
-from agym_jax.matter.shapes import no_boxes
+from agym_jax.matter.shapes import no_boxes, rotation
 from agym_jax.preferences import meal_terms, preference_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
@@ -191,14 +191,7 @@ class Drinking:
 
 def axis(cup_quat_w: Array) -> Array:
     """Where the cup opens to: its y axis in the world (3,)."""
-    w, x, y, z = cup_quat_w
-    return jnp.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
-
-
-def _across(cup_quat_w: Array) -> Array:
-    """The cup's z axis in the world (3,): it turns about x when it tips."""
-    w, x, y, z = cup_quat_w
-    return jnp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+    return rotation(cup_quat_w)[:, 1]
 
 
 def side_of(cup_quat_w: Array, to_mouth_w: Array) -> Array:
@@ -208,7 +201,7 @@ def side_of(cup_quat_w: Array, to_mouth_w: Array) -> Array:
         cup_quat_w: wxyz (4,).
         to_mouth_w: from the cup to the mouth (3,).
     """
-    return jnp.where(jnp.dot(_across(cup_quat_w), to_mouth_w) > 0, -1.0, 1.0)
+    return jnp.where(jnp.dot(rotation(cup_quat_w)[:, 2], to_mouth_w) > 0, -1.0, 1.0)
 
 
 def tipped(cup_quat_w: Array, side: Array) -> Array:
@@ -218,7 +211,8 @@ def tipped(cup_quat_w: Array, side: Array) -> Array:
         cup_quat_w: wxyz (4,).
         side: see ``side_of`` ().
     """
-    return jnp.arctan2(side * _across(cup_quat_w)[2], axis(cup_quat_w)[2])
+    _, up, across = rotation(cup_quat_w)[2]  # how far each axis points upwards
+    return jnp.arctan2(side * across, up)
 
 
 def tilt_reward(cup_quat_w: Array, side: Array) -> Array:

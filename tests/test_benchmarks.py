@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks import compile as starts
-from benchmarks import nan, resume, throughput, training_speed
+from benchmarks import nan, resume, tables, throughput, training_speed
 from benchmarks.child import ChildError, run_child
 
 
@@ -95,3 +96,13 @@ def test_speed_of_training_knows_one_learner_and_two(capsys):
     with pytest.raises(SystemExit):
         training_speed.main(["--learners", "3"])
     assert "1" in (said := capsys.readouterr().err) and "2" in said and "3" in said
+
+
+def test_the_table_of_training_compares_with_one_learner_on_one_device(tmp_path):
+    about = {"commit": "0123456789", "device": {"kind": "GPU"}, "env": "A-v0", "impl": "warp"}
+    speeds = {"steps_per_s": 0, "steps_per_s_min": 1, "steps_per_s_max": 2, "num_envs": 8}
+    one = about | speeds | {"learners": 1, "devices": 1, "steps_per_s": 200}
+    two = about | speeds | {"learners": 2, "devices": 1, "steps_per_s": 150}
+    (tmp_path / "training_speed.jsonl").write_text("\n".join(map(json.dumps, (two, one))))
+    rows = tables.training_speed(tmp_path).splitlines()[2:4]
+    assert [row.split("|")[-2].strip() for row in rows] == ["1.00", "0.75"]

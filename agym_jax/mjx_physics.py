@@ -19,6 +19,7 @@ from agym_jax.scene import Scene
 from agym_jax.sense import Motion, Touch, add_touch, moment, no_touch
 from agym_jax.state import Episode, strong
 from agym_jax.warp_kernels import compile_kernels
+from agym_jax.warp_streams import hold_streams
 
 apply()
 
@@ -117,6 +118,7 @@ def put_model(model: mujoco.MjModel, impl: str) -> Any:
         return mjx.put_model(model, impl=impl)
     model = copy.copy(model)
     model.opt.iterations, model.opt.ls_iterations = WARP_ITERATIONS, WARP_LS_ITERATIONS
+    hold_streams()
     compile_kernels(model, WARP_ROWS_PER_WORLD, WARP_CONTACTS_PER_WORLD, WARP_LOST)
     put = mjx.put_model(model, impl=impl)
     option = put.opt._impl.replace(warn_overflow=WARP_LOST)  # no print for iteration limits

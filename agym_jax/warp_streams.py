@@ -1,0 +1,43 @@
+"""One patch to Warp: it knows a stream of JAX's for as long as any wrapper of that stream lives.
+
+Called by JAX, Warp wraps JAX's stream in a ``warp.Stream``, which registers it, and unregisters it when it is
+deleted. Mostly that is at the end of the call. But where Warp makes a new kernel in the call, as MuJoCo
+Warp does for a new number of worlds, ``warp.func`` keeps its own frame, and so the frames of all its callers,
+until the garbage collector comes. If that is in a later call, the stream is unregistered under its hands:
+"Warp error: unknown stream". On an H200, three of three trainings of Drinking that were followed by an evaluation
+in the same process ended so (Warp 1.18). ``tests/test_warp_streams.py`` fails when Warp no longer keeps frames;
+delete this file then.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+_lock = threading.RLock()  # the collector may come while it is held
+_wrappers: dict[int, set[int]] = {}
+
+
+def hold_streams() -> None:
+    """Patch Warp, once."""
+    import warp
+
+    if getattr(warp.Stream.__init__, "holds_streams", False):
+        return
+    begin, end = warp.Stream.__init__, warp.Stream.__del__
+
+    def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
+        with _lock:
+            if stream := kwargs.get("cuda_stream"):
+                _wrappers.setdefault(stream, set()).add(id(self))
+            begin(self, *args, **kwargs)
+
+    def __del__(self: Any) -> None:
+        with _lock:
+            others = _wrappers.get(self.cuda_stream, set())
+            others.discard(id(self))
+            if self.owner or not others:
+                end(self)
+
+    __init__.holds_streams = True
+    warp.Stream.__init__, warp.Stream.__del__ = __init__, __del__

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 import subprocess
 
@@ -69,6 +70,35 @@ for name, algorithm in algorithms.items():
         "steps": int(halves.env_steps),
     }
 print(json.dumps(found))
+"""
+
+# Worlds, and a constant, with arrays that have no elements, on two devices.
+EMPTY = """
+import json
+import jax, jax.numpy as jnp
+from train.updates import device_mesh, places, spread
+
+nothing, three = jnp.zeros((0, 2)), jnp.arange(3.0)
+
+def first(key):
+    return {"none": jnp.zeros((2, 0), jnp.int32), "x": jax.random.normal(key, (2,)) + nothing.sum()}
+
+def run(learner, worlds, count, total_steps):
+    assert worlds["none"].shape == (2, 0) and worlds["none"].dtype == jnp.int32
+    moved = worlds["x"] + three.sum() + learner + nothing.sum()
+    return learner, worlds | {"x": moved}, {"sum": jax.lax.psum(moved.sum(), "worlds")}
+
+mesh = device_mesh(0)
+common, own = places(mesh)
+first, run = spread(mesh, first, run)
+begin = jax.jit(first, out_shardings=own).lower(jax.random.PRNGKey(0))
+worlds = begin.compile()(jax.random.PRNGKey(0))
+go = jax.jit(run, out_shardings=(common, own, common)).lower(jnp.float32(1), worlds, 1, 1.0)
+_, after, totals = go.compile()(jnp.float32(1), worlds, 1, 1.0)
+print(json.dumps({
+    "shapes": [x.shape for x in worlds], "moved": (after[0] - worlds[0]).tolist(),
+    "apart": float(abs(worlds[0][0] - worlds[0][1]).min()),
+    "sum": float(totals["sum"]), "is": float(after[0].sum()), "text": begin.as_text() + go.as_text()}))
 """
 
 # Training on one and on two devices, with a run that goes on with another number of them.
@@ -151,6 +181,15 @@ def test_an_update_on_two_devices_is_the_update_on_one():
         assert gaps["all"] < 2e-4 and gaps["losses"] < 2e-4, (name, gaps)
         assert gaps["moved"] > 1e-2 and gaps["half"] > 1e-3, (name, gaps)
         assert gaps["steps"] == 8 * 30
+
+
+def test_what_is_empty_is_not_given_from_device_to_device():
+    found = last_line(piped(EMPTY, env=TWO))
+    given = re.findall(r"sdy.manual_computation.*?manual_axes=\S+ \((.*?)\) \{", found["text"])
+    assert len(given) == 2 and not any(re.search(r"<(\d+x)*0x", text) for text in given)
+    assert found["shapes"] == [[2, 2]]
+    assert found["moved"] == [[pytest.approx(4.0, abs=1e-5)] * 2] * 2
+    assert found["sum"] == pytest.approx(found["is"], abs=1e-5) and found["apart"] > 1e-3
 
 
 def test_training_on_two_devices_is_as_good_as_on_one():

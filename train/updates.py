@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from train.algorithm import Algorithm
@@ -112,27 +113,43 @@ def device_mesh(wanted: int) -> Mesh | None:
 def spread(mesh: Mesh, first: Callable[[jax.Array], Worlds], run: Run) -> tuple[Callable, Run]:
     """The functions that begin and continue the worlds, on all devices.
 
-    Each device has its own worlds and the whole learner. Outside, leaves of the worlds get a
+    Each device has its own worlds and the whole learner. Outside, worlds are a list of arrays with a
     leading axis of devices: some of Warp's buffers serve all worlds of a device and have no axis of
-    worlds.
+    worlds. Arrays without elements stay inside, because XLA's partitioner crashes on them (jaxlib
+    0.11.2 on GPUs, a segmentation fault in Shardy's ``ManualComputationUnusedInputsPattern``).
 
     Args:
         mesh: the devices.
         first: random key -> worlds of one device.
         run: from ``make_updates`` with ``AXIS``.
+
+    Returns:
+        ``first`` and ``run`` of all devices, to be traced in this order: only ``first`` tells what
+        worlds look like.
     """
     common, own = PartitionSpec(), PartitionSpec(AXIS)
+    first, run = _own_empty_constants(first), _own_empty_constants(run)
+    one: list[Worlds] = []  # shapes and dtypes of the worlds of one device
 
-    def first_here(key: jax.Array) -> Worlds:
+    def given(worlds: Worlds) -> list[jax.Array]:
+        return [leaf[None] for leaf in jax.tree.leaves(worlds) if leaf.size]
+
+    def taken(arrays: list[jax.Array]) -> Worlds:
+        rest = iter(arrays)
+        leaves, structure = jax.tree.flatten(one[0])
+        found = [next(rest)[0] if leaf.size else jnp.zeros_like(leaf) for leaf in leaves]
+        return jax.tree.unflatten(structure, found)
+
+    def first_here(key: jax.Array) -> list[jax.Array]:
         worlds = first(jax.random.fold_in(key, jax.lax.axis_index(AXIS)))
-        return jax.tree.map(lambda leaf: leaf[None], worlds)
+        one[:] = [jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), worlds)]
+        return given(worlds)
 
     def run_here(
-        learner: Any, worlds: Worlds, count: jax.Array, total_steps: jax.Array
-    ) -> tuple[Any, Worlds, dict[str, jax.Array]]:
-        worlds = jax.tree.map(lambda leaf: leaf[0], worlds)
-        learner, worlds, totals = run(learner, worlds, count, total_steps)
-        return learner, jax.tree.map(lambda leaf: leaf[None], worlds), totals
+        learner: Any, arrays: list[jax.Array], count: jax.Array, total_steps: jax.Array
+    ) -> tuple[Any, list[jax.Array], dict[str, jax.Array]]:
+        learner, worlds, totals = run(learner, taken(arrays), count, total_steps)
+        return learner, given(worlds), totals
 
     # What is common is so by construction: every device computes it from averages over all.
     return (
@@ -145,6 +162,18 @@ def spread(mesh: Mesh, first: Callable[[jax.Array], Worlds], run: Run) -> tuple[
             check_vma=False,
         ),
     )
+
+
+def _own_empty_constants(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, with arrays without elements made in it that it would otherwise be given."""
+
+    def traced(*inputs: Any) -> Any:
+        closed, out = jax.make_jaxpr(function, return_shape=True)(*inputs)
+        constants = [x if x.size else jnp.zeros(x.shape, x.dtype) for x in closed.consts]
+        run = jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, constants))
+        return jax.tree.unflatten(jax.tree.structure(out), run(*jax.tree.leaves(inputs)))
+
+    return traced
 
 
 def places(mesh: Mesh) -> tuple[NamedSharding, NamedSharding]:

@@ -11,6 +11,7 @@ delete this file then.
 
 from __future__ import annotations
 
+import functools
 import threading
 from typing import Any
 
@@ -18,12 +19,11 @@ _lock = threading.RLock()  # the collector may come while it is held
 _wrappers: dict[int, set[int]] = {}
 
 
+@functools.cache  # patched twice, it would count every wrapper twice
 def hold_streams() -> None:
     """Patch Warp, once."""
     import warp
 
-    if getattr(warp.Stream.__init__, "holds_streams", False):
-        return
     begin, end = warp.Stream.__init__, warp.Stream.__del__
 
     def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
@@ -39,5 +39,4 @@ def hold_streams() -> None:
             if self.owner or not others:
                 end(self)
 
-    __init__.holds_streams = True
     warp.Stream.__init__, warp.Stream.__del__ = __init__, __del__

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import agym_jax
 from agym_jax.wrappers import vectorize
 
-CHUNK = 50  # control steps in one compiled call
+CHUNK = 50  # control steps in one compiled call, if nobody wants fewer
 Totals = dict[str, jax.Array]
 Extra = Callable[[Totals, Any], Totals]
 
@@ -38,12 +38,15 @@ def zero_totals() -> Totals:
     return dict.fromkeys(names, jnp.zeros((), jnp.int32)) | {"reward": jnp.zeros(())}
 
 
-def random_steps(venv: Any, extra: Extra | None = None) -> Callable[..., tuple[Any, Totals]]:
-    """The function to compile: ``run(state, key, totals)``, ``CHUNK`` steps of every world.
+def random_steps(
+    venv: Any, extra: Extra | None = None, steps: int = CHUNK
+) -> Callable[..., tuple[Any, Totals]]:
+    """The function to compile: ``run(state, key, totals)``, some steps of every world.
 
     Args:
         venv: from ``make_worlds``.
         extra: adds to totals of its own after each step, given the state of the batch.
+        steps: of a call.
 
     Returns:
         ``run``, which returns the state and the totals: world-steps that went non-finite
@@ -66,7 +69,7 @@ def random_steps(venv: Any, extra: Extra | None = None) -> Callable[..., tuple[A
             totals = totals | {k: totals[k] + v for k, v in gains.items()}
             return (state, extra(totals, state) if extra else totals), None
 
-        return jax.lax.scan(step, (state, totals), jax.random.split(key, CHUNK))[0]
+        return jax.lax.scan(step, (state, totals), jax.random.split(key, steps))[0]
 
     return run
 

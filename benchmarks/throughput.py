@@ -44,7 +44,7 @@ class ThroughputConfig:
     num_envs: tuple[int, ...] = (1024, 4096, 16384)
     """Worlds side by side."""
     steps: int = 500
-    """Steps of every world in one measurement, rounded up to whole chunks."""
+    """Steps of every world in one measurement, rounded up to whole calls of 50 if it is more."""
     repeats: int = 5
     """Measurements; the median counts."""
     seed: int = 0
@@ -71,29 +71,30 @@ def measure(
     """
     jax.config.update("jax_enable_compilation_cache", False)
     key, key_reset = jax.random.split(jax.random.PRNGKey(seed))
-    chunks = -(-steps // CHUNK)
+    chunk = max(1, min(steps, CHUNK))
+    chunks = -(-steps // chunk)
     start = time.perf_counter()
     venv = make_worlds(env_name, impl, num_envs)
     begin = jax.jit(lambda key: first_state(venv, key)).lower(key_reset).compile()
     state, totals = begin(key_reset), zero_totals()
-    run = jax.jit(random_steps(venv)).lower(state, key, totals).compile()
+    run = jax.jit(random_steps(venv, steps=chunk)).lower(state, key, totals).compile()
     compiled = time.perf_counter()
     state, totals = jax.block_until_ready(run(state, key, totals))  # Warp loads its kernels here
     warm = time.perf_counter()
     speeds = []
     for repeat in range(repeats):
         began = time.perf_counter()
-        for chunk in range(chunks):
-            key_chunk = jax.random.fold_in(key, 1 + repeat * chunks + chunk)
-            state, totals = run(state, key_chunk, totals)
+        for call in range(chunks):
+            key_call = jax.random.fold_in(key, 1 + repeat * chunks + call)
+            state, totals = run(state, key_call, totals)
         jax.block_until_ready((state, totals))
-        speeds.append(chunks * CHUNK * num_envs / (time.perf_counter() - began))
-    total_steps = (repeats * chunks + 1) * CHUNK * num_envs
+        speeds.append(chunks * chunk * num_envs / (time.perf_counter() - began))
+    total_steps = (repeats * chunks + 1) * chunk * num_envs
     return {
         "env": env_name,
         "impl": venv.impl,
         "num_envs": num_envs,
-        "steps": chunks * CHUNK,
+        "steps": chunks * chunk,
         "repeats": repeats,
         "seed": seed,
         "compile_seconds": round(compiled - start, 2),

@@ -110,7 +110,7 @@ def device_mesh(wanted: int) -> Mesh | None:
     return Mesh(np.array(chosen), (AXIS,)) if len(chosen) > 1 else None
 
 
-def spread(mesh: Mesh, first: Callable[[jax.Array], Worlds], run: Run) -> tuple[Callable, Run]:
+def spread(mesh: Mesh, first: Callable[[jax.Array], Worlds], run: Run) -> tuple[Callable, Callable]:
     """The functions that begin and continue the worlds, on all devices.
 
     Each device has its own worlds and the whole learner. Outside, worlds are a list of arrays with a

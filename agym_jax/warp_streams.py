@@ -19,7 +19,7 @@ _lock = threading.RLock()  # the collector may come while it is held
 _wrappers: dict[int, set[int]] = {}
 
 
-@functools.cache  # patched twice, it would count every wrapper twice
+@functools.cache
 def hold_streams() -> None:
     """Patch Warp, once."""
     import warp

@@ -116,8 +116,9 @@ def test_water_is_the_same_on_both():
     pos_jax, alive_jax, qpos_jax = carry_water("jax")
     np.testing.assert_allclose(qpos, qpos_jax, atol=1e-5)
     np.testing.assert_array_equal(alive, alive_jax)
-    # drops push each other, so rounding grows; a drop is 1 cm wide
-    np.testing.assert_allclose(pos[:20], pos_jax[:20], atol=1e-3)
+    # drops push each other, so rounding grows, for single drops most; a drop is 1 cm wide
+    np.testing.assert_allclose(pos[:10], pos_jax[:10], atol=2e-4)
+    assert np.median(np.abs(pos - pos_jax), axis=(1, 2, 3)).max() < 2e-4
     np.testing.assert_allclose(pos, pos_jax, atol=5e-3)
     assert np.linalg.norm(pos[-1] - pos[0], axis=-1).mean() > 0.05  # and they did travel
 

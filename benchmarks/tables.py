@@ -158,7 +158,9 @@ def seeds(folder: Path = RESULTS) -> str:
 
     head = ["robot, person:", *(person or "still" for person in people)]
     rows = [[robot, *(cell(robot, person) for person in people)] for robot in robots]
-    note = f"{several(x['env'] for x in lines if x['person_policy'])}, success and return, {several(x['episodes'] for x in lines)} people;"
+    env = several(x["env"] for x in lines if x["person_policy"])
+    people_each = several(f"{x['episodes']:,}" for x in lines)
+    note = f"{env}, success and return, {people_each} people;"
     return grid([head, *rows], lines, note)
 
 

@@ -7,8 +7,10 @@ import gc
 import weakref
 from types import SimpleNamespace
 
+import mujoco
 import pytest
 
+from agym_jax import mjx_physics
 from agym_jax.warp_streams import hold_streams
 
 warp = pytest.importorskip("warp")
@@ -73,6 +75,15 @@ def test_patching_twice_is_patching_once():
     before = warp.Stream.__init__
     hold_streams()
     assert warp.Stream.__init__ is before
+
+
+def test_streams_are_held_before_warp_gets_a_model(monkeypatch):
+    done = []
+    monkeypatch.setattr(mjx_physics, "hold_streams", lambda: done.append("held"))
+    monkeypatch.setattr(mjx_physics, "compile_kernels", lambda *_: done.append("compiled"))
+    ball = '<mujoco><worldbody><body><joint/><geom size="0.1"/></body></worldbody></mujoco>'
+    mjx_physics.put_model(mujoco.MjModel.from_xml_string(ball), "warp")
+    assert done == ["held", "compiled"]
 
 
 def test_warp_still_keeps_the_frames_of_who_makes_a_function():

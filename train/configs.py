@@ -239,7 +239,7 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "Reaching": _TOUCH | {"lr": 3e-4},
 }
 
-WORLDS = {"ScratchItch": 2048, "FeedingJaco-v0": 1024, "Drinking": 1024, "Dressing": 1024}
+WORLDS = {"ScratchItch": 2048, "FeedingJaco": 1024, "Drinking": 1024, "Dressing": 1024}
 """Worlds on an accelerator, where a task learns best with another number than 4096. Keys as above."""
 LEAST_SAMPLES = 80
 """Of a mini-batch, when ``num_mini_batch`` would make smaller ones of a small batch."""

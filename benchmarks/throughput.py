@@ -71,7 +71,7 @@ def measure(
     """
     jax.config.update("jax_enable_compilation_cache", False)
     key, key_reset = jax.random.split(jax.random.PRNGKey(seed))
-    chunk = max(1, min(steps, CHUNK))
+    chunk = min(steps, CHUNK)
     chunks = -(-steps // chunk)
     start = time.perf_counter()
     venv = make_worlds(env_name, impl, num_envs)
@@ -126,6 +126,9 @@ def shown(line: dict[str, Any]) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status, 1 if a configuration failed."""
     c = tyro.cli(ThroughputConfig, prog="python -m benchmarks.throughput", args=arguments)
+    if min(c.steps, c.repeats, *c.num_envs) < 1:
+        print("--steps, --repeats and --num-envs must be at least 1.", file=sys.stderr)
+        return 2
     wanted = [(e, i, n) for e in c.env_name for i in c.impl for n in c.num_envs]
     if len(wanted) == 1:
         try:

@@ -30,6 +30,12 @@ def test_forces_beyond_the_histogram_are_kept_in_its_ends():
     assert bins.tolist() == [0, 0, nan.BINS - 1, nan.BINS - 1]
 
 
+@pytest.mark.parametrize("flag", ["--steps", "--repeats", "--num-envs"])
+def test_throughput_of_nothing_is_refused(flag, capsys):
+    assert throughput.main([flag, "0"]) == 2
+    assert flag in capsys.readouterr().err
+
+
 def test_throughput_of_an_unknown_environment_says_what_exists(capsys):
     status = throughput.main(["--env-name", "ScratchItchJacko-v0", "--num-envs", "4"])
     assert status == 2

@@ -240,7 +240,7 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
 }
 
 WORLDS = {"ScratchItch": 2048, "FeedingJaco": 1024, "Drinking": 1024, "Dressing": 1024}
-"""Worlds on an accelerator, where a task learns best with another number than 4096. Keys as above."""
+"""Worlds on an accelerator, where a task was trained with another number than 4096. Keys as above."""
 LEAST_SAMPLES = 80
 """Of a mini-batch, when ``num_mini_batch`` would make smaller ones of a small batch."""
 

@@ -8,7 +8,7 @@ the same as one of all worlds on one device.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -110,46 +110,39 @@ def device_mesh(wanted: int) -> Mesh | None:
     return Mesh(np.array(chosen), (AXIS,)) if len(chosen) > 1 else None
 
 
-def spread(mesh: Mesh, first: Callable[[jax.Array], Worlds], run: Run) -> tuple[Callable, Callable]:
+@jax.tree_util.register_static
+@dataclass(frozen=True)
+class Empty:
+    """Stands for an array without elements where such arrays must not be."""
+
+    shape: tuple[int, ...]
+    dtype: Any
+
+
+def spread(mesh: Mesh, first: Callable[[jax.Array], Worlds], run: Run) -> tuple[Callable, Run]:
     """The functions that begin and continue the worlds, on all devices.
 
-    Each device has its own worlds and the whole learner. Outside, worlds are a list of arrays with a
+    Each device has its own worlds and the whole learner. Outside, leaves of the worlds get a
     leading axis of devices: some of Warp's buffers serve all worlds of a device and have no axis of
-    worlds. Arrays without elements stay inside, because XLA's partitioner crashes on them (jaxlib
-    0.11.2 on GPUs, a segmentation fault in Shardy's ``ManualComputationUnusedInputsPattern``).
+    worlds. Arrays without elements are ``Empty`` there, because XLA's partitioner crashes on them
+    (jaxlib 0.11.2 on GPUs, a segmentation fault in Shardy's ``ManualComputationUnusedInputsPattern``).
 
     Args:
         mesh: the devices.
         first: random key -> worlds of one device.
         run: from ``make_updates`` with ``AXIS``.
-
-    Returns:
-        ``first`` and ``run`` of all devices, to be traced in this order: only ``first`` tells what
-        worlds look like.
     """
     common, own = PartitionSpec(), PartitionSpec(AXIS)
     first, run = _own_empty_constants(first), _own_empty_constants(run)
-    one: list[Worlds] = []  # shapes and dtypes of the worlds of one device
 
-    def given(worlds: Worlds) -> list[jax.Array]:
-        return [leaf[None] for leaf in jax.tree.leaves(worlds) if leaf.size]
-
-    def taken(arrays: list[jax.Array]) -> Worlds:
-        rest = iter(arrays)
-        leaves, structure = jax.tree.flatten(one[0])
-        found = [next(rest)[0] if leaf.size else jnp.zeros_like(leaf) for leaf in leaves]
-        return jax.tree.unflatten(structure, found)
-
-    def first_here(key: jax.Array) -> list[jax.Array]:
-        worlds = first(jax.random.fold_in(key, jax.lax.axis_index(AXIS)))
-        one[:] = [jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), worlds)]
-        return given(worlds)
+    def first_here(key: jax.Array) -> Worlds:
+        return _given(first(jax.random.fold_in(key, jax.lax.axis_index(AXIS))))
 
     def run_here(
-        learner: Any, arrays: list[jax.Array], count: jax.Array, total_steps: jax.Array
-    ) -> tuple[Any, list[jax.Array], dict[str, jax.Array]]:
-        learner, worlds, totals = run(learner, taken(arrays), count, total_steps)
-        return learner, given(worlds), totals
+        learner: Any, worlds: Worlds, count: jax.Array, total_steps: jax.Array
+    ) -> tuple[Any, Worlds, dict[str, jax.Array]]:
+        learner, worlds, totals = run(learner, _taken(worlds), count, total_steps)
+        return learner, _given(worlds), totals
 
     # What is common is so by construction: every device computes it from averages over all.
     return (
@@ -161,6 +154,22 @@ def spread(mesh: Mesh, first: Callable[[jax.Array], Worlds], run: Run) -> tuple[
             out_specs=(common, own, common),
             check_vma=False,
         ),
+    )
+
+
+def _given(worlds: Worlds) -> Worlds:
+    """Worlds of one device, as they are outside (see ``spread``)."""
+    return jax.tree.map(
+        lambda leaf: leaf[None] if leaf.size else Empty(leaf.shape, leaf.dtype), worlds
+    )
+
+
+def _taken(worlds: Worlds) -> Worlds:
+    """The reverse of ``_given``."""
+    return jax.tree.map(
+        lambda leaf: jnp.zeros(leaf.shape, leaf.dtype) if isinstance(leaf, Empty) else leaf[0],
+        worlds,
+        is_leaf=lambda leaf: isinstance(leaf, Empty),
     )
 
 

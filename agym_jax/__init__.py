@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from agym_jax import cache as _cache
+from agym_jax import compilation_cache as _cache
 from agym_jax.errors import AgymError
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def make(name: str, impl: str = "auto", people: Any = None, num_worlds: int = 1)
         name: its id, such as ``"ScratchItchJaco-v0"``; ``list_envs()`` has them all.
         impl: physics: MJX in ``"jax"`` (anywhere) or ``"warp"`` (NVIDIA GPUs), ``"auto"`` for the one that
             fits, or ``"native"``: C MuJoCo, for one world on the CPU, not to be jitted or vmapped.
-        people: an ``agym_jax.person.draw.People``, if not Assistive Gym's men and women.
+        people: an ``agym_jax.human.population.People``, if not Assistive Gym's men and women.
         num_worlds: how many worlds will be stepped together; sizes Warp's buffers.
             ``agym_jax.wrappers.vectorize`` sets it for you.
 

@@ -23,15 +23,15 @@ import numpy as np
 from jax import Array
 
 from agym_jax import observe
-from agym_jax.control import Driver, Orders
-from agym_jax.episode import Drawn, draw_episode, episode_of, geom_sizes
+from agym_jax.sim.control import Driver, Orders
+from agym_jax.sim.episode import Drawn, draw_episode, episode_of, geom_sizes
 from agym_jax.errors import ActionError
-from agym_jax.person import draw
-from agym_jax.physics import build_physics, check_traceable, choose_impl
-from agym_jax.placement import load_bank
-from agym_jax.precision import full_precision
-from agym_jax.raycast import Marker
-from agym_jax.scene import build_scene, compose, draw_surfaces
+from agym_jax.human import population as draw
+from agym_jax.sim.physics import build_physics, check_traceable, choose_impl
+from agym_jax.data.banks import load_bank
+from agym_jax.jax_settings import full_precision
+from agym_jax.rendering.raycast import Marker
+from agym_jax.sim.scene import build_scene, compose, draw_surfaces
 from agym_jax.sense import Motion, Sensed, Touch, at_rest, no_touch, sense
 from agym_jax.spec import Furnished, Pose, Privileged, RobotSpec, Surface, Surfaced, Task
 from agym_jax.state import Episode, State, select, strong
@@ -301,7 +301,7 @@ class AssistiveEnv:
         Args:
             state: of one world (index a batch first, with ``jax.tree.map(lambda x: x[i], state)``).
             looks: what the robot looks like: ``"primitives"``, or ``"meshes"`` of other packages, see
-                ``agym_jax.meshes``.
+                ``agym_jax.rendering.meshes``.
 
         Raises:
             UnknownNameError: there are no such looks.

@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from agym_jax.geometry import capsule_gap
-from agym_jax.index import Index, ToolIndex
-from agym_jax.person.anthropometry import Dims
+from agym_jax.math3d import capsule_gap
+from agym_jax.sim.index import Index, ToolIndex
+from agym_jax.human.anthropometry import Dims
 
 
 @jax.tree_util.register_dataclass

@@ -101,7 +101,7 @@ class MeshModel:
     """Another package's model of the robot, MJCF or URDF, whose meshes it may wear in pictures.
 
     Links of one name in both wear them, and must have the same joints; what the package fixes to a link
-    that the robot lacks goes with the nearest link that it has. See ``agym_jax.meshes``.
+    that the robot lacks goes with the nearest link that it has. See ``agym_jax.rendering.meshes``.
     """
 
     package: str  # on PyPI

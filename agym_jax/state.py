@@ -9,9 +9,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from agym_jax.person.body import BodyFields
-from agym_jax.person.draw import Person
-from agym_jax.person.pose import Pose
+from agym_jax.human.body import BodyFields
+from agym_jax.human.population import Person
+from agym_jax.human.pose import Pose
 
 
 @jax.tree_util.register_dataclass

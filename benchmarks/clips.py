@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw
 from agym_jax.errors import did_you_mean
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
-from train.acting import find_policies, load_policies
+from train.evaluation.agents import find_policies, load_policies
 from train.enjoy import EnjoyConfig, Frame, Player, film
 from train.envs import active_name, make_env
 

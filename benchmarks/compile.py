@@ -20,7 +20,7 @@ import tyro
 
 from agym_jax.errors import AgymError
 from benchmarks.child import run_child
-from train.record import append_record, record
+from train.runs.record import append_record, record
 
 STARTS = ("cold", "warm")
 TRAINING = """

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 import agym_jax
-from agym_jax.render import Renderer
+from agym_jax.rendering.render import Renderer
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
 

@@ -30,7 +30,7 @@ def keep(
         return None
     print("\n".join(f"{name:<24} {value}" for name, value in fields.items()))
     if json:
-        from train.record import append_record, record  # asks JAX for its devices
+        from train.runs.record import append_record, record  # asks JAX for its devices
 
         append_record(json, record(kind, **fields))
     return fields

@@ -25,12 +25,12 @@ import tyro
 from rich.progress import track
 
 import agym_jax
-from agym_jax import kinematics
-from agym_jax.person import pose
-from agym_jax.person.body import RIGHT_ARM_LINKS
-from agym_jax.scene import compose
+from agym_jax.offline import kinematics
+from agym_jax.human import pose
+from agym_jax.human.body import RIGHT_ARM_LINKS
+from agym_jax.sim.scene import compose
 from agym_jax.spec import Pose
-from agym_jax.validate import COLLISION
+from agym_jax.sim.validate import COLLISION
 from benchmarks.keep import keep
 from train.configs import Count
 

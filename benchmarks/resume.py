@@ -23,8 +23,8 @@ import tyro
 from benchmarks.child import ChildError
 from benchmarks.keep import keep
 from train.configs import Count
-from train.policy import train_command
-from train.run_folder import RunFolder
+from agym_jax.policy.policy import train_command
+from train.runs.folder import RunFolder
 
 LATEST = 0.1  # share of the curve that says how a run ends
 Row = dict[str, Any]

@@ -30,7 +30,7 @@ from benchmarks.rollout import (
     random_steps,
     zero_totals,
 )
-from train.record import append_record, record
+from train.runs.record import append_record, record
 
 
 @dataclass(frozen=True)

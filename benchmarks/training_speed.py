@@ -23,7 +23,7 @@ from benchmarks.keep import keep
 from train import coop, ppo
 from train.configs import Config, CoopConfig, Count, PPOConfig, config_for, resolve
 from train.envs import make_env
-from train.progress import for_terminal
+from train.runs.progress import for_terminal
 
 CALLS = 10
 """Calls of the compiled training in one measurement, after a first one that does not count."""

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from agym_jax.matter.cloth import Cloth, Touch, give_way, in_hand, initial, step
-from agym_jax.matter.garment import Garment
+from agym_jax.matter.cloth.solver import Cloth, Touch, give_way, in_hand, initial, step
+from agym_jax.matter.cloth.garment import Garment
 from agym_jax.matter.shapes import Capsules, capsules_touching, no_capsules
-from agym_jax.matter.sleeve import Arm, crossed, dressed, progress, watched_vertices, worn
-from agym_jax.matter.weave import ClothSpec
+from agym_jax.matter.cloth.sleeve import Arm, crossed, dressed, progress, watched_vertices, worn
+from agym_jax.matter.cloth.topology import ClothSpec
 from agym_jax.tasks.dressing import BELOW_HAND, UP, held_at, swivel
 
 DT = 0.01

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import agym_jax
-from agym_jax.scene import compose
+from agym_jax.sim.scene import compose
 from agym_jax.spec import Pose
 from agym_jax.state import Episode
 from agym_jax.wrappers import VectorEnv, vectorize

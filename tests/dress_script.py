@@ -23,8 +23,8 @@ from meal_script import SPARE, Script, Z, _chain, _turn_of
 from scipy.spatial.transform import Rotation
 
 import agym_jax
-from agym_jax import kinematics
-from agym_jax.matter.sleeve import crossed
+from agym_jax.offline import kinematics
+from agym_jax.matter.cloth.sleeve import crossed
 from agym_jax.tasks.dressing import ARM_LINKS
 
 HEIGHT = 0.11  # of the hand above the arm's axis [m]

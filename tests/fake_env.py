@@ -127,7 +127,7 @@ class FakeEnv:
 
     def markers(self, state: FakeState) -> list[Any]:
         """The target."""
-        from agym_jax.raycast import Marker
+        from agym_jax.rendering.raycast import Marker
 
         return [Marker((*map(float, state.target), 0.0), 0.05)]
 

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from agym_jax import kinematics
-from agym_jax.person.solids import link_capsules
+from agym_jax.offline import kinematics
+from agym_jax.human.capsules import link_capsules
 
 YAWS = np.deg2rad([0.0, 20.0, -20.0, 45.0, -45.0, 70.0, -70.0])
 """Turns of the hand about the vertical, from how it starts."""

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from agym_jax.kinematics import rotation_matrix
-from agym_jax.matter.particles import Contact, Particles
-from agym_jax.person import anthropometry
-from agym_jax.person.body import LINKS
+from agym_jax.offline.kinematics import rotation_matrix
+from agym_jax.matter.particles.solver import Contact, Particles
+from agym_jax.human import anthropometry
+from agym_jax.human.body import LINKS
 from agym_jax.sense import Motion, Sensed, ToolSensed
 
 HEAD, CHEST = np.array([0.0, 0.03, 1.1785]), np.array([0.0, 0.03, 0.89])  # humans.md section 5

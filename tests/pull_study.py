@@ -15,10 +15,10 @@ import jax
 import numpy as np
 from cloth_world import Outcome, draw_pull, pull_on
 
-from agym_jax.matter.gown import Cut, cut
-from agym_jax.matter.hang import settle
-from agym_jax.matter.weave import weave
-from train.record import RESULTS, append_record, record
+from agym_jax.offline.gown import Cut, cut
+from agym_jax.matter.cloth.hang import settle
+from agym_jax.matter.cloth.topology import weave
+from train.runs.record import RESULTS, append_record, record
 
 STEPS = 560  # of 10 ms, at 0.15 m/s, the slowest
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agym_jax.observe import values
-from agym_jax.person import anthropometry
+from agym_jax.human import anthropometry
 from agym_jax.robots import ROBOTS
 from agym_jax.sense import Sensed, ToolSensed
 from agym_jax.tasks.arm_manipulation import ARM_MANIPULATION as TASK

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.kinematics import rotation_matrix
-from agym_jax.person import anthropometry
-from agym_jax.person.draw import People
+from agym_jax.offline.kinematics import rotation_matrix
+from agym_jax.human import anthropometry
+from agym_jax.human.population import People
 from agym_jax.sense import Sensed, ToolSensed
 from agym_jax.tasks.bed_bathing import BED_BATHING as TASK
 from agym_jax.tasks.bed_bathing import PER_RING, RINGS, BathState

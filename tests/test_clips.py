@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from agym_jax import clips
+from agym_jax.rendering import clips
 from agym_jax.errors import AgymError
 
 

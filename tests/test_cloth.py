@@ -12,7 +12,7 @@ import pytest
 from cloth_world import DT, NOTHING, sheet
 from scipy.optimize import brentq
 
-from agym_jax.matter.cloth import (
+from agym_jax.matter.cloth.solver import (
     GATHERS,
     HELD,
     SLIDES,
@@ -23,9 +23,9 @@ from agym_jax.matter.cloth import (
     initial,
     step,
 )  # fmt: skip
-from agym_jax.matter.garment import load
+from agym_jax.matter.cloth.garment import load
 from agym_jax.matter.shapes import Capsules
-from agym_jax.matter.weave import ClothSpec, Fabric, weave
+from agym_jax.matter.cloth.topology import ClothSpec, Fabric, weave
 
 G = 9.81
 

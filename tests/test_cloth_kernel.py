@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from cloth_world import DT, sheet
 
-from agym_jax.matter import cloth as fabrics
-from agym_jax.matter.cloth import Cloth, anchor_positions, initial, step
-from agym_jax.matter.cloth_kernel import kernel
-from agym_jax.matter.garment import load
+from agym_jax.matter.cloth import solver as fabrics
+from agym_jax.matter.cloth.solver import Cloth, anchor_positions, initial, step
+from agym_jax.matter.cloth.kernel import kernel
+from agym_jax.matter.cloth.garment import load
 from agym_jax.matter.shapes import Capsules
-from agym_jax.matter.weave import ClothSpec, Fabric, weave
+from agym_jax.matter.cloth.topology import ClothSpec, Fabric, weave
 
 WORLDS = 3
 FLOOR = -0.3

@@ -15,16 +15,16 @@ from products import full
 from train_runs import check_continued, check_restored, kill_in_training, listening, same_bytes
 
 from train import coop, ppo
-from train.acting import Pair, baseline_policy
-from train.checkpoint import checkpoint_files
+from train.evaluation.agents import Pair, baseline_policy
+from train.runs.checkpoint import checkpoint_files
 from train.configs import CoopConfig, PPOConfig
 from train.envs import parts
 from train.errors import ActiveHumanError, CheckpointMismatchError, ConfigError
 from train.evaluate import Evaluator
-from train.policy import load_policy
-from train.result import summary
-from train.rollout import collect, everything, first_worlds
-from train.team import TwoLearners
+from agym_jax.policy.policy import load_policy
+from train.runs.result import summary
+from train.learning.rollout import collect, everything, first_worlds
+from train.learning.agents import TwoLearners
 
 CONFIG = CoopConfig(
     env_name="FakeCarryHuman-v0",

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import agym_jax
-from agym_jax import placement
+from agym_jax.data import banks as placement
 from agym_jax.spec import RobotSpec
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -64,7 +64,7 @@ def test_every_public_piece_of_the_task_file_is_shown():
 
 def test_commands_and_links_exist():
     modules = re.findall(r"python -m ([\w.]+)", TEXT)
-    assert {"agym_jax.placement", "agym_jax.observe", "train.enjoy", "train.ppo"} <= set(modules)
+    assert {"agym_jax.data.banks", "agym_jax.observe", "train.enjoy", "train.ppo"} <= set(modules)
     assert not [m for m in modules if not importlib.util.find_spec(m)]
     links = re.findall(r"\]\(([^)#]+)\)", TEXT)
     assert links and not [path for path in links if not (PAGE.parent / path).resolve().is_file()]

@@ -16,8 +16,8 @@ from fake_pair_env import FakePairEnv, RobotSees
 from agym_jax import observe
 from agym_jax.observe import column
 from train import crossplay, enjoy, evaluate
-from train.acting import Pair, baseline_policy, find_policies, load_policies
-from train.algorithm import OneLearner
+from train.evaluation.agents import Pair, baseline_policy, find_policies, load_policies
+from train.learning.algorithm import OneLearner
 from train.configs import CoopConfig, PPOConfig
 from train.crossplay import STILL
 from train.errors import (
@@ -28,9 +28,9 @@ from train.errors import (
     PolicyNotFoundError,
 )
 from train.evaluate import Evaluator
-from train.policy import load_policy, save_policy
-from train.run_folder import RunFolder
-from train.team import TwoLearners
+from agym_jax.policy.policy import load_policy, save_policy
+from train.runs.folder import RunFolder
+from train.learning.agents import TwoLearners
 
 NAME, STILL_NAME = "FakeCarryHuman-v0", "FakeCarry-v0"
 SMALL = {"policy_hidden": (8,), "value_hidden": (8,), "policy_head_gain": 1.0}

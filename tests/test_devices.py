@@ -12,7 +12,7 @@ import pytest
 from train_runs import start_python
 
 from train.errors import ConfigError
-from train.hosts import join_hosts, parse_hosts
+from train.learning.hosts import join_hosts, parse_hosts
 
 TWO = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
 
@@ -22,11 +22,11 @@ import json
 import jax, jax.numpy as jnp, numpy as np
 from jax.sharding import PartitionSpec as P
 from fake_pair_env import FakePairEnv
-from train.algorithm import OneLearner
+from train.learning.algorithm import OneLearner
 from train.configs import CoopConfig, PPOConfig
-from train.rollout import collect, first_worlds
-from train.team import TwoLearners
-from train.updates import AXIS, device_mesh
+from train.learning.rollout import collect, first_worlds
+from train.learning.agents import TwoLearners
+from train.learning.update import AXIS, device_mesh
 
 SETTINGS = dict(num_mini_batch=1, ppo_epoch=3, policy_hidden=(16,), value_hidden=(16,), lr=1e-2,
                 distribution="normal", entropy_coef=0.01)
@@ -76,7 +76,7 @@ print(json.dumps(found))
 EMPTY = """
 import json
 import jax, jax.numpy as jnp
-from train.updates import device_mesh, places, spread
+from train.learning.update import device_mesh, places, spread
 
 nothing, three = jnp.zeros((0, 2)), jnp.arange(3.0)
 
@@ -106,7 +106,7 @@ TRAINING = """
 import dataclasses, json, sys, tempfile
 import jax
 from fake_pair_env import FakePairEnv
-from train.checkpoint import checkpoint_files
+from train.runs.checkpoint import checkpoint_files
 from train.configs import CoopConfig, PPOConfig
 from train.errors import ConfigError
 from train import coop, ppo

@@ -14,8 +14,8 @@ from cloth_world import Pull, before_hand, draw_pull, pull_on
 from meal_world import CHEST, FAR, TORSO, arrays, sensed
 
 from agym_jax import observe
-from agym_jax.matter.cloth import LET_GO
-from agym_jax.matter.sleeve import Worn
+from agym_jax.matter.cloth.solver import LET_GO
+from agym_jax.matter.cloth.sleeve import Worn
 from agym_jax.robots import ROBOTS
 from agym_jax.spec import Preferences
 from agym_jax.tasks.dressing import (

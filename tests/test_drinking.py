@@ -21,8 +21,8 @@ from meal_world import (
 )  # fmt: skip
 
 from agym_jax import observe
-from agym_jax.kinematics import rotation_matrix
-from agym_jax.matter.checks import MatterError
+from agym_jax.offline.kinematics import rotation_matrix
+from agym_jax.matter.particles.checks import MatterError
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks.drinking import DRINKING as TASK
 from agym_jax.tasks.drinking import DrinkState, fates_of, in_cup, tilt_reward

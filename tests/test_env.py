@@ -18,7 +18,7 @@ from products import full
 import agym_jax
 from agym_jax import observe
 from agym_jax.errors import ActionError, ImplementationError
-from agym_jax.physics import choose_impl
+from agym_jax.sim.physics import choose_impl
 from agym_jax.wrappers import vectorize
 
 jit = pytest.mark.jit

@@ -25,7 +25,7 @@ from meal_world import (
 
 from agym_jax import observe
 from agym_jax.furniture import BOWL
-from agym_jax.matter.checks import MatterError
+from agym_jax.matter.particles.checks import MatterError
 from agym_jax.robots import ROBOTS
 from agym_jax.spec import Preferences
 from agym_jax.tasks.feeding import FEEDING as TASK

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from agym_jax.furniture import BED, WHEELCHAIR
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import compose
+from agym_jax.sim.scene import compose
 from agym_jax.spec import Pose
 from agym_jax.tasks import TASKS
 

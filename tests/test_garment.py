@@ -11,7 +11,7 @@ import pytest
 from cloth_world import sheet
 
 from agym_jax.errors import MissingAssetError
-from agym_jax.matter.garment import (
+from agym_jax.matter.cloth.garment import (
     AG_AREA_DENSITY,
     Garment,
     GarmentError,
@@ -20,9 +20,9 @@ from agym_jax.matter.garment import (
     longest_edge,
     save,
 )  # fmt: skip
-from agym_jax.matter.gown import Cut, cut
-from agym_jax.matter.hang import settle
-from agym_jax.matter.weave import USUAL_EDGE, USUAL_SUBSTEPS, Fabric, weave
+from agym_jax.offline.gown import Cut, cut
+from agym_jax.matter.cloth.hang import settle
+from agym_jax.matter.cloth.topology import USUAL_EDGE, USUAL_SUBSTEPS, Fabric, weave
 from agym_jax.tasks.dressing import Dressing
 
 SQUARE = Garment(  # 4 x 4 vertices, 2 cm apart

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from agym_jax.geometry import capsule_gap, segment_distance
+from agym_jax.math3d import capsule_gap, segment_distance
 
 distance = jax.jit(segment_distance)
 

@@ -17,7 +17,7 @@ from gymnasium.utils.env_checker import check_env
 import agym_jax
 from agym_jax.adapters.gymnasium import GymnasiumEnv, RenderModeError, register_envs
 from agym_jax.errors import ActionError, AgymError, ImplementationError, UnknownNameError
-from agym_jax.physics import choose_impl
+from agym_jax.sim.physics import choose_impl
 
 NAME = "ScratchItchJaco-v0"
 # Gymnasium prefers bounded observations; positions and forces have no bound worth the name

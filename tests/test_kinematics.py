@@ -9,11 +9,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from agym_jax import kinematics, placement, search
+from agym_jax.offline import kinematics
+from agym_jax.data import banks as placement
+from agym_jax.offline import base_search as search
 from agym_jax.errors import SpecError
-from agym_jax.person import pose as person_pose
+from agym_jax.human import pose as person_pose
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import build_scene
+from agym_jax.sim.scene import build_scene
 from agym_jax.tasks import TASKS
 
 TASK, ROBOT = TASKS["ScratchItch"], ROBOTS["Jaco"]

@@ -14,17 +14,18 @@ import pytest
 from meal_script import play
 
 import agym_jax
-from agym_jax import kinematics
-from agym_jax.matter.checks import MatterError, capacity
-from agym_jax.matter.particles import Particles, ParticleSpec
-from agym_jax.matter.settle import fill, load_settled
+from agym_jax.offline import kinematics
+from agym_jax.matter.particles.checks import MatterError, capacity
+from agym_jax.matter.particles.solver import Particles, ParticleSpec
+from agym_jax.offline.particle_fill import fill, load_settled
 from agym_jax.matter.shapes import columns, rotation
-from agym_jax.person.solids import link_capsules
-from agym_jax.placement import load_bank
+from agym_jax.human.capsules import link_capsules
+from agym_jax.data.banks import load_bank
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import build_scene
+from agym_jax.sim.scene import build_scene
 from agym_jax.spec import Pose
-from agym_jax.tasks import TASKS, meals
+from agym_jax.tasks import TASKS
+from agym_jax.tasks.shared import meals
 from agym_jax.tasks.drinking import INSIDE, side_of
 from agym_jax.tasks.feeding import DISH
 

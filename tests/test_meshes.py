@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from fake_env import FakeEnv
 
-from agym_jax import meshes
+from agym_jax.rendering import meshes
 from agym_jax.adapters import gymnasium as adapter
 from agym_jax.errors import AgymError, MeshError, MissingExtraError, UnknownNameError
-from agym_jax.mesh_models import FIRST_UNSEEN, Paint
-from agym_jax.render import Renderer
+from agym_jax.rendering.mesh_models import FIRST_UNSEEN, Paint
+from agym_jax.rendering.render import Renderer
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import compose
+from agym_jax.sim.scene import compose
 from agym_jax.spec import MeshModel, MeshPart, Pose, RobotSpec
 from agym_jax.tasks import TASKS
 from train import enjoy

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.person import muscles
-from agym_jax.person.draw import Person
+from agym_jax.human import muscles
+from agym_jax.human.population import Person
 from agym_jax.state import Episode
 from agym_jax.tasks import TASKS
 

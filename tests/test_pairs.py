@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import agym_jax
-from agym_jax.person import anthropometry
-from agym_jax.person import pose as person_pose
-from agym_jax.person.posture import load_postures
-from agym_jax.placement import load_bank
+from agym_jax.human import anthropometry
+from agym_jax.human import pose as person_pose
+from agym_jax.human.posture import load_postures
+from agym_jax.data.banks import load_bank
 from agym_jax.registry import parse
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import compose
+from agym_jax.sim.scene import compose
 from agym_jax.spec import Pose
 from agym_jax.tasks import TASKS
 

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from conftest import BATCH, Rollout, Worlds, compiled_person
 
-from agym_jax import kinematics
-from agym_jax.episode import person_rows
-from agym_jax.person.body import RIGHT_ARM_LINKS
-from agym_jax.person.draw import People, draw_person
-from agym_jax.person.pose import draw_pose
+from agym_jax.offline import kinematics
+from agym_jax.sim.episode import person_rows
+from agym_jax.human.body import RIGHT_ARM_LINKS
+from agym_jax.human.population import People, draw_person
+from agym_jax.human.pose import draw_pose
 from agym_jax.sense import add_touch, at_rest, no_touch, sense
 from agym_jax.state import Episode, Placement
 

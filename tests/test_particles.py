@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.matter import particles as matter
-from agym_jax.matter.one_kernel import kernel
-from agym_jax.matter.particles import (
+from agym_jax.matter.particles import solver as matter
+from agym_jax.matter.fused_scan import kernel
+from agym_jax.matter.particles.solver import (
     FOOD,
     WATER,
     Contact,
@@ -24,9 +24,9 @@ from agym_jax.matter.particles import (
     advance,
     step,
 )
-from agym_jax.matter.pushes import CALM, push_pairs, push_vessel
+from agym_jax.matter.particles.constraints import CALM, push_pairs, push_vessel
 from agym_jax.matter.shapes import Boxes, Capsules, columns
-from agym_jax.matter.vessels import CUP, SPOON
+from agym_jax.matter.particles.containers import CUP, SPOON
 
 DT, STEPS, WORLDS, R, MU, G = 0.002, 200, 8, 0.005, 0.3, 9.81
 SPEC = ParticleSpec(CUP, count=3, radius=R, friction=MU, damping=0.0, substeps=1, sweeps=2)

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from agym_jax.errors import UnknownNameError
-from agym_jax.matter import settle
-from agym_jax.matter.particles import FOOD, WATER, Contact, Obstacles, Particles, advance
-from agym_jax.matter.settle import MissingSettledError, fill, load_settled
+from agym_jax.offline import particle_fill as settle
+from agym_jax.matter.particles.solver import FOOD, WATER, Contact, Obstacles, Particles, advance
+from agym_jax.offline.particle_fill import MissingSettledError, fill, load_settled
 from agym_jax.matter.shapes import columns, no_boxes, no_capsules, rotation
 
 WORLDS, PERIOD = 4, 0.1
@@ -263,7 +263,7 @@ def test_banks(name: str) -> None:
     assert wall.min() > spec.radius - 0.0005
     with np.load(settle.settled_path(name), allow_pickle=False) as z:
         provenance = json.loads(str(z["provenance"]))
-    assert provenance["command"] == f"python -m agym_jax.matter.settle {name} --seed 0 --rows 64"
+    assert provenance["command"] == f"python -m agym_jax.offline.particle_fill {name} --seed 0 --rows 64"
     assert settle.settled_path(name).stat().st_size < 100_000
 
 
@@ -300,7 +300,7 @@ def test_a_missing_or_damaged_bank_says_how_to_build_it(tmp_path: Path, monkeypa
     load = load_settled.__wrapped__
     monkeypatch.setattr(settle, "settled_path", lambda name: tmp_path / f"{name}.npz")
     with pytest.raises(
-        MissingSettledError, match=r"no bank .*python -m agym_jax.matter.settle cup"
+        MissingSettledError, match=r"no bank .*python -m agym_jax.offline.particle_fill cup"
     ):
         load("cup")
     (tmp_path / "cup.npz").write_bytes(b"PK not a bank")

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from agym_jax.errors import UnknownNameError
-from agym_jax.person import anthropometry, body
-from agym_jax.person import pose as person_pose
-from agym_jax.person.draw import People, draw_person
-from agym_jax.person.model import build
-from agym_jax.person.posture import load_postures
+from agym_jax.human import anthropometry
+from agym_jax.human import body
+from agym_jax.human import pose as person_pose
+from agym_jax.human.population import People, draw_person
+from agym_jax.human.model import build
+from agym_jax.human.posture import load_postures
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import build_scene, compose
+from agym_jax.sim.scene import build_scene, compose
 from agym_jax.tasks import TASKS
 
 TASK, ROBOT = TASKS["ScratchItch"], ROBOTS["Jaco"]

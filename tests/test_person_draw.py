@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agym_jax.errors import UnknownNameError
-from agym_jax.person.draw import IMPAIRMENTS, People, Person, draw_person
+from agym_jax.human.population import IMPAIRMENTS, People, Person, draw_person
 
 N = 4096
 AMPLITUDE = np.deg2rad(10.0)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.person import limits as lim
+from agym_jax.human import limits as lim
 
 HELD_OUT = Path(__file__).parent / "data" / "arm_limits_heldout.npz"
 

@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from agym_jax.person import anthropometry
-from agym_jax.person.body import LINKS
-from agym_jax.person.solids import link_capsules
+from agym_jax.human import anthropometry
+from agym_jax.human.body import LINKS
+from agym_jax.human.capsules import link_capsules
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import compose
+from agym_jax.sim.scene import compose
 from agym_jax.tasks import TASKS
 
 NAMES = tuple(x.name for x in LINKS)

@@ -19,7 +19,8 @@ import numpy as np
 import pytest
 
 import agym_jax
-from agym_jax import kinematics, placement
+from agym_jax.offline import kinematics
+from agym_jax.data import banks as placement
 from agym_jax.env import AssistiveEnv
 from agym_jax.errors import (
     MissingAssetError,
@@ -29,7 +30,7 @@ from agym_jax.errors import (
 )
 from agym_jax.registry import parse, register_robot, register_task
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import build_scene, compose
+from agym_jax.sim.scene import build_scene, compose
 from agym_jax.state import Placement
 from agym_jax.tasks import TASKS
 

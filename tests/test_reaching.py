@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.kinematics import rotation_matrix
-from agym_jax.person import anthropometry
+from agym_jax.offline.kinematics import rotation_matrix
+from agym_jax.human import anthropometry
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import build_scene
+from agym_jax.sim.scene import build_scene
 from agym_jax.sense import Sensed, ToolSensed
 from agym_jax.tasks.reaching import REACHING as TASK
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from agym_jax.errors import SpecError
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import compose
+from agym_jax.sim.scene import compose
 from agym_jax.tasks import TASKS
 
 ROOT = Path(__file__).resolve().parents[1]

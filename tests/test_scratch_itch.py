@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.kinematics import rotation_matrix
-from agym_jax.person import anthropometry
+from agym_jax.offline.kinematics import rotation_matrix
+from agym_jax.human import anthropometry
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed, ToolSensed
 from agym_jax.spec import Preferences

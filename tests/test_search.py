@@ -15,14 +15,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from agym_jax import placement
-from agym_jax.clearance import Clearance
+from agym_jax.data import banks as placement
+from agym_jax.offline.clearance import Clearance
 from agym_jax.errors import MissingPlacementError, SpecError
-from agym_jax.kinematics import rotation_matrix
-from agym_jax.person import pose as person_pose
+from agym_jax.offline.kinematics import rotation_matrix
+from agym_jax.human import pose as person_pose
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import compose
-from agym_jax.search import REACHED, REACHED_ROTATION, search
+from agym_jax.sim.scene import compose
+from agym_jax.offline.base_search import REACHED, REACHED_ROTATION, search
 from agym_jax.spec import BaseSearch, RobotSpec, Task
 from agym_jax.state import Placement
 from agym_jax.tasks import TASKS

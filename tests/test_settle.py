@@ -10,16 +10,19 @@ import mujoco
 import numpy as np
 import pytest
 
-from agym_jax.assets import asset_path
+from agym_jax.data.assets import asset_path
 from agym_jax.errors import AgymError, MissingPostureError
 from agym_jax.furniture import BED
-from agym_jax.person import body, posture, settle, settle_report
-from agym_jax.person import pose as person_pose
-from agym_jax.person.draw import People, Person, draw_person
-from agym_jax.person.pose import Pose
-from agym_jax.person.posture import link_positions, load_postures, posture_path
+from agym_jax.human import body
+from agym_jax.human import posture
+from agym_jax.offline import bed_postures as settle
+from agym_jax.offline import posture_report as settle_report
+from agym_jax.human import pose as person_pose
+from agym_jax.human.population import People, Person, draw_person
+from agym_jax.human.pose import Pose
+from agym_jax.human.posture import link_positions, load_postures, posture_path
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import compose
+from agym_jax.sim.scene import compose
 from agym_jax.tasks import TASKS as ALL_TASKS
 
 TASKS = tuple(settle.SCENARIOS)

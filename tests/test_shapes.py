@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.matter.checks import MatterError, capacity, check, speed_limit
-from agym_jax.matter.particles import FOOD, WATER, ParticleSpec
+from agym_jax.matter.particles.checks import MatterError, capacity, check, speed_limit
+from agym_jax.matter.particles.solver import FOOD, WATER, ParticleSpec
 from agym_jax.matter.shapes import (
     Boxes,
     Capsules,
@@ -24,7 +24,7 @@ from agym_jax.matter.shapes import (
     no_capsules,
     rotation,
 )
-from agym_jax.matter.vessels import AG_TO_VESSEL, CUP, SPOON, Bowl, Cup, Vessel
+from agym_jax.matter.particles.containers import AG_TO_VESSEL, CUP, SPOON, Bowl, Cup, Vessel
 
 RNG = np.random.default_rng(0)
 VESSELS = pytest.mark.parametrize("vessel", [CUP, SPOON], ids=["cup", "spoon"])

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.matter.garment import load
-from agym_jax.matter.sleeve import (
+from agym_jax.matter.cloth.garment import load
+from agym_jax.matter.cloth.sleeve import (
     Arm,
     Worn,
     crossed,

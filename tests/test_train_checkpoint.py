@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from train.checkpoint import (
+from train.runs.checkpoint import (
     KEEP,
     checkpoint_files,
     load_checkpoint,
@@ -24,8 +24,8 @@ from train.errors import (
     DamagedFileError,
     SaveFolderError,
 )
-from train.learner import architecture, init_learner
-from train.npz import check_writable, read_npz, write_npz
+from train.learning.ppo import architecture, init_learner
+from agym_jax.data.npz import check_writable, read_npz, write_npz
 
 CONFIG = PPOConfig(policy_hidden=(8,), value_hidden=(8,))
 BELONGS = {"env": "FakeReach-v0", "layout": "fake-1"}

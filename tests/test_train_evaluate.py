@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from fake_env import FakeEnv
 
-from agym_jax.assets import asset_root
+from agym_jax.data.assets import asset_root
 from agym_jax.observe import layout_version
 from agym_jax.registry import parse
 from train import enjoy, evaluate
-from train.acting import BASELINES, PolicyFiles, baseline_policy, load_policies
-from train.algorithm import policy_of
-from train.alone import evaluate_alone
+from train.evaluation.agents import BASELINES, PolicyFiles, baseline_policy, load_policies
+from train.learning.algorithm import policy_of
+from train.evaluation.alone import evaluate_alone
 from train.configs import PPOConfig
 from train.errors import (
     ConfigError,
@@ -28,9 +28,9 @@ from train.errors import (
     PolicyNotFoundError,
 )
 from train.evaluate import Evaluator
-from train.learner import architecture, init_learner
-from train.policy import Policy, find_policy, load_policy, save_policy
-from train.score import wilson_interval
+from train.learning.ppo import architecture, init_learner
+from agym_jax.policy.policy import Policy, find_policy, load_policy, save_policy
+from train.evaluation.score import wilson_interval
 
 INFO = {"env": "FakeReach-v0", "layout": "fake-1", "commit": None, "versions": {}}
 
@@ -115,7 +115,7 @@ def test_a_damaged_policy_is_refused(tmp_path, policy):
 
 
 def test_a_checkpoint_is_not_a_policy(tmp_path):
-    from train.npz import write_npz
+    from agym_jax.data.npz import write_npz
 
     write_npz(tmp_path / "c.npz", {"params/x": np.zeros(2)}, {"format": 1})
     with pytest.raises(PolicyDamagedError, match="is not a policy"):

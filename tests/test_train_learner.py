@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from brax.training.agents.ppo.losses import compute_gae as brax_gae
 
-from train.advantage import compute_gae, values_of
+from train.learning.advantage import compute_gae, values_of
 from train.configs import PPOConfig
-from train.learner import LOSSES, architecture, init_learner, learn, ppo_loss
-from train.networks import make_networks, sample_action
-from train.rollout import Batch
+from train.learning.ppo import LOSSES, architecture, init_learner, learn, ppo_loss
+from agym_jax.policy.networks import make_networks, sample_action
+from train.learning.rollout import Batch
 
 GAMMA, LAMBDA = 0.9, 0.8
 

@@ -13,15 +13,15 @@ from fake_env import FakeEnv
 from train_runs import check_continued, check_restored, kill_in_training, listening
 
 from agym_jax.errors import BufferOverflowError
-from train.algorithm import OneLearner
-from train.checkpoint import checkpoint_files, load_newest
+from train.learning.algorithm import OneLearner
+from train.runs.checkpoint import checkpoint_files, load_newest
 from train.configs import PPOConfig
-from train.curve import check_row, make_row
+from train.runs.curve import check_row, make_row
 from train.errors import ActiveHumanError, CheckpointMismatchError, DivergedError, SaveFolderError
 from train.evaluate import Evaluator
-from train.policy import load_policy
+from agym_jax.policy.policy import load_policy
 from train.ppo import main, train
-from train.result import summary
+from train.runs.result import summary
 
 CONFIG = PPOConfig(
     env_name="FakeReach-v0",

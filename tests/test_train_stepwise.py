@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from fake_env import FakeEnv
 
-from train.acting import baseline_policy
+from train.evaluation.agents import baseline_policy
 from train.configs import PPOConfig
 from train.demo import main as demo
 from train.errors import ConfigError
 from train.evaluate import Evaluator
 from train.ppo import train
-from train.stepwise import StepwiseEnv, evaluate_stepwise
+from train.learning.stepwise import StepwiseEnv, evaluate_stepwise
 
 CONFIG = PPOConfig(
     num_env_steps=1280,

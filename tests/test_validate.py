@@ -10,11 +10,11 @@ from typing import Any
 import jax.numpy as jnp
 import pytest
 
-from agym_jax.assets import asset_path
+from agym_jax.data.assets import asset_path
 from agym_jax.errors import AgymError, MissingAssetError, SpecError, UnknownNameError
 from agym_jax.robots import ROBOTS
-from agym_jax.scene import build_scene, compose
-from agym_jax.search import search
+from agym_jax.sim.scene import build_scene, compose
+from agym_jax.offline.base_search import search
 from agym_jax.spec import RobotSpec, Task
 from agym_jax.tasks import TASKS
 from agym_jax.tasks.scratch_itch import ScratchItch

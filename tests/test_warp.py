@@ -12,7 +12,8 @@ import pytest
 from conftest import compiled_person
 
 import agym_jax
-from agym_jax import mjx_physics, warp_kernels
+from agym_jax.sim import mjx as mjx_physics
+from agym_jax.compat import warp_kernels
 from agym_jax.wrappers import vectorize
 
 pytestmark = pytest.mark.warp

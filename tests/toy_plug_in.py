@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from agym_jax import placement
+from agym_jax.data import banks as placement
 from agym_jax.furniture import WHEELCHAIR
 from agym_jax.observe import column, observation
-from agym_jax.person.body import HEAD
+from agym_jax.human.body import HEAD
 from agym_jax.preferences import preference_terms
 from agym_jax.registry import register_robot, register_task
 from agym_jax.sense import Sensed

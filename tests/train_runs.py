@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from train.checkpoint import checkpoint_files, load_newest, save_checkpoint
-from train.progress import Lines
-from train.rollout import first_worlds
-from train.updates import make_updates
+from train.runs.checkpoint import checkpoint_files, load_newest, save_checkpoint
+from train.runs.progress import Lines
+from train.learning.rollout import first_worlds
+from train.learning.update import make_updates
 
 ROOT = Path(__file__).resolve().parent.parent
 PREAMBLE = f"import sys; sys.path[:0] = {[str(ROOT), str(ROOT / 'tests')]!r}\n"

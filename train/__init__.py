@@ -5,4 +5,4 @@
 statistics of Brax; the training loop, checkpoints and policy files are our own.
 """
 
-import agym_jax.mjx_patch  # noqa: F401 (Brax imports MJX, which is quiet only when imported like this)
+import agym_jax.compat.mjx_quat  # noqa: F401 (Brax imports MJX, which is quiet only when imported like this)

@@ -16,15 +16,15 @@ import jax
 import tyro
 
 from agym_jax.errors import AgymError
-from train.acting import BASELINES, Baseline, Pair, load_agent
+from train.evaluation.agents import BASELINES, Baseline, Pair, load_agent
 from train.configs import Count
 from train.envs import make_env, parts, refuse_static_human, static_name
 from train.errors import ConfigError
 from train.evaluate import Evaluator
-from train.npz import check_writable
-from train.policy import FILE_NAMES, Policy, check_policy, find_policy
-from train.record import append_record, record
-from train.score import EvaluationResult
+from agym_jax.data.npz import check_writable
+from agym_jax.policy.policy import FILE_NAMES, Policy, check_policy, find_policy
+from train.runs.record import append_record, record
+from train.evaluation.score import EvaluationResult
 
 STILL = "(holds still)"
 Matrix = dict[tuple[str, str], EvaluationResult]

@@ -3,7 +3,7 @@
 1. The policy that ships with agym_jax helps a batch of people, all at once; table, film, pictures.
 2. A policy is trained from scratch for a minute, and its learning curve is drawn.
 
-The environment is compiled once for both (``train.stepwise``), and never again on this machine.
+The environment is compiled once for both (``train.learning.stepwise``), and never again on this machine.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ import numpy as np
 import tyro
 
 from agym_jax.errors import AgymError
-from train.acting import baseline_policy
+from train.evaluation.agents import baseline_policy
 from train.configs import Count, config_for
 from train.enjoy import Frame, caption
 from train.envs import make_env, vectorize
-from train.npz import check_writable
-from train.policy import find_policy, load_policy
+from agym_jax.data.npz import check_writable
+from agym_jax.policy.policy import find_policy, load_policy
 from train.ppo import OnLog, train
-from train.progress import for_terminal
-from train.result import summary
-from train.rollout import FORCE_KEY
-from train.score import EvaluationResult
-from train.stepwise import StepwiseEnv, evaluate_stepwise
+from train.runs.progress import for_terminal
+from train.runs.result import summary
+from train.learning.rollout import FORCE_KEY
+from train.evaluation.score import EvaluationResult
+from train.learning.stepwise import StepwiseEnv, evaluate_stepwise
 
 FILM_SPEED = 4.0  # times real time
 LEAST_TRAINING = 60.0  # s, however late it is
@@ -100,8 +100,8 @@ def make_film(env: Any, frames: Sequence[Frame], out: Path, seconds: float) -> t
     Returns:
         Film and sheet of pictures.
     """
-    from agym_jax.clips import contact_sheet, write_clip
-    from agym_jax.render import Renderer
+    from agym_jax.rendering.clips import contact_sheet, write_clip
+    from agym_jax.rendering.render import Renderer
 
     model, data = env.to_mujoco(frames[0].state)
     with Renderer(model, 480, 360) as renderer:

@@ -19,13 +19,13 @@ import jax
 import tyro
 
 from agym_jax.errors import AgymError
-from agym_jax.meshes import check_looks
-from train.acting import AnyPolicy, find_policies, load_policies
+from agym_jax.rendering.meshes import check_looks
+from train.evaluation.agents import AnyPolicy, find_policies, load_policies
 from train.configs import Count
 from train.envs import make_env, programs
 from train.errors import ConfigError
-from train.npz import check_writable
-from train.rollout import FORCE_KEY
+from agym_jax.data.npz import check_writable
+from train.learning.rollout import FORCE_KEY
 
 SHEET_PICTURES = 20
 
@@ -125,7 +125,7 @@ def caption(frame: Frame) -> str:
 
 def film(env: Any, frames: Sequence[Frame], config: EnjoyConfig) -> list[Any]:
     """Pictures of the frames of one episode, uint8 (height, width, 3) each."""
-    from agym_jax.render import Renderer
+    from agym_jax.rendering.render import Renderer
 
     model, data = env.to_mujoco(frames[0].state, config.looks)
     pictures, size = [], (config.width, config.height)
@@ -201,7 +201,7 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
             pictures += film(env, frames, config)
             labels += [caption(frame) for frame in frames]
     if config.clip or config.sheet:
-        from agym_jax.clips import contact_sheet, write_clip
+        from agym_jax.rendering.clips import contact_sheet, write_clip
 
         if config.clip:
             print(f"Film: {write_clip(pictures, config.clip, fps=round(1 / env.dt))}")

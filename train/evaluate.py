@@ -18,14 +18,14 @@ import jax.numpy as jnp
 import tyro
 
 from agym_jax.errors import AgymError
-from train.acting import TREES, AnyPolicy, baseline_policy, find_policies, load_policies
-from train.alone import evaluate_alone
+from train.evaluation.agents import TREES, AnyPolicy, baseline_policy, find_policies, load_policies
+from train.evaluation.alone import evaluate_alone
 from train.configs import Count
 from train.envs import make_env, vectorize
 from train.errors import ConfigError
-from train.npz import check_writable
-from train.record import append_record, record
-from train.score import EvaluationResult, add_step, result_of, zero_sums
+from agym_jax.data.npz import check_writable
+from train.runs.record import append_record, record
+from train.evaluation.score import EvaluationResult, add_step, result_of, zero_sums
 
 
 class Evaluator:

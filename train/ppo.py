@@ -9,14 +9,14 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from train.algorithm import OneLearner
+from train.learning.algorithm import OneLearner
 from train.configs import PPOConfig
-from train.curve import Row
+from train.runs.curve import Row
 from train.envs import make_env, refuse_active_human
-from train.policy import Policy
-from train.progress import Progress
-from train.result import TrainResult
-from train.session import Policies, command_line, run_session, settle
+from agym_jax.policy.policy import Policy
+from train.runs.progress import Progress
+from train.runs.result import TrainResult
+from train.runs.session import Policies, command_line, run_session, settle
 
 OnLog = Callable[[Row, Callable[[], Policy]], bool | None]
 

@@ -23,11 +23,11 @@ from gymnasium import spaces
 
 import agym_jax
 from agym_jax.errors import ActionError, AgymError, did_you_mean
-from agym_jax.meshes import check_looks
-from agym_jax.person.draw import People
-from agym_jax.physics import choose_impl
+from agym_jax.rendering.meshes import check_looks
+from agym_jax.human.population import People
+from agym_jax.sim.physics import choose_impl
 from agym_jax.registry import parse
-from agym_jax.render import Renderer
+from agym_jax.rendering.render import Renderer
 
 RENDER_MODES = ("rgb_array",)
 
@@ -64,7 +64,7 @@ class GymnasiumEnv(gymnasium.Env):
         width: of pictures [pixels].
         height: of pictures [pixels].
         camera: name or number of the camera.
-        looks: of the robot in pictures, ``"primitives"`` or ``"meshes"``, see ``agym_jax.meshes``.
+        looks: of the robot in pictures, ``"primitives"`` or ``"meshes"``, see ``agym_jax.rendering.meshes``.
 
     Raises:
         UnknownNameError: there is no such id, or there are no such looks.

@@ -1,1 +1,1 @@
-"""Matter beside MJX: food and water as position-based particles in plain JAX."""
+"""Matter that MuJoCo does not simulate: food and water as particles, gowns as cloth (XPBD beside MJX)."""

@@ -28,17 +28,17 @@ import numpy as np
 from jax import Array
 
 from agym_jax.furniture import WHEELCHAIR
-from agym_jax.helped_arm import ArmFromChest, ArmFromTorso
-from agym_jax.matter import cloth as fabrics
-from agym_jax.matter import sleeve
-from agym_jax.matter.cloth import Cloth, Touch
-from agym_jax.matter.garment import Garment, load
-from agym_jax.matter.hang import settle
+from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso
+from agym_jax.matter.cloth import solver as fabrics
+from agym_jax.matter.cloth import sleeve
+from agym_jax.matter.cloth.solver import Cloth, Touch
+from agym_jax.matter.cloth.garment import Garment, load
+from agym_jax.matter.cloth.hang import settle
 from agym_jax.matter.shapes import Capsules
-from agym_jax.matter.weave import ClothSpec, Fabric, weave
+from agym_jax.matter.cloth.topology import ClothSpec, Fabric, weave
 from agym_jax.observe import column, observation, part
-from agym_jax.person.body import LEFT_ARM
-from agym_jax.person.solids import link_capsules
+from agym_jax.human.body import LEFT_ARM
+from agym_jax.human.capsules import link_capsules
 from agym_jax.preferences import dressing_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, PersonSpec, Preferences, SeatSpec, Surface

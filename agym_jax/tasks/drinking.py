@@ -23,15 +23,15 @@ import jax.numpy as jnp
 from jax import Array
 
 from agym_jax.furniture import WHEELCHAIR_UP_CLOSE
-from agym_jax.matter.checks import check
-from agym_jax.matter.particles import WATER, Contact, Particles, ParticleSpec, advance
-from agym_jax.matter.settle import fill, load_settled
+from agym_jax.matter.particles.checks import check
+from agym_jax.matter.particles.solver import WATER, Contact, Particles, ParticleSpec, advance
+from agym_jax.offline.particle_fill import fill, load_settled
 from agym_jax.matter.shapes import no_boxes, rotation
 from agym_jax.preferences import meal_terms, preference_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
-from agym_jax.tasks import meals
-from agym_jax.tasks.meals import Fates
+from agym_jax.tasks.shared import meals
+from agym_jax.tasks.shared.meals import Fates
 
 _H = 0.5**0.5
 BOTTOM, TOP, RADIUS = -0.01, 0.115, 0.05

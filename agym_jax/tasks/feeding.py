@@ -19,16 +19,16 @@ import jax.numpy as jnp
 from jax import Array
 
 from agym_jax.furniture import BOWL, TABLE, WHEELCHAIR_AT_TABLE
-from agym_jax.matter.checks import check
-from agym_jax.matter.particles import FOOD, Contact, Particles, ParticleSpec, advance
-from agym_jax.matter.settle import fill, load_settled
+from agym_jax.matter.particles.checks import check
+from agym_jax.matter.particles.solver import FOOD, Contact, Particles, ParticleSpec, advance
+from agym_jax.offline.particle_fill import fill, load_settled
 from agym_jax.matter.shapes import Boxes
-from agym_jax.matter.vessels import SPOON_ORIGIN_IN_AG
+from agym_jax.matter.particles.containers import SPOON_ORIGIN_IN_AG
 from agym_jax.preferences import meal_terms, preference_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
-from agym_jax.tasks import meals
-from agym_jax.tasks.meals import Fates
+from agym_jax.tasks.shared import meals
+from agym_jax.tasks.shared.meals import Fates
 
 _H = 0.5**0.5
 ABOVE_BOWL = (0.0, -0.1, 0.425)

@@ -20,7 +20,7 @@ from jax import Array
 
 from agym_jax.furniture import WHEELCHAIR
 from agym_jax.observe import column, observation
-from agym_jax.person.body import HEAD
+from agym_jax.human.body import HEAD
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, PersonSpec, Preferences, SeatSpec

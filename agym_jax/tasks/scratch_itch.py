@@ -15,9 +15,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from agym_jax.furniture import WHEELCHAIR
-from agym_jax.helped_arm import ArmFromChest, ArmFromTorso, see_arm
+from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 from agym_jax.observe import column, observation, part
-from agym_jax.person.body import RIGHT_ARM, RIGHT_ARM_LINKS
+from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec

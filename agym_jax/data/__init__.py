@@ -1,0 +1,1 @@
+"""The packaged assets and files of arrays, read and written."""

@@ -1,0 +1,1 @@
+"""The human: body, sizes, muscles, joint limits, poses, and the population they are drawn from."""

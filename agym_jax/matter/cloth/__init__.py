@@ -1,0 +1,1 @@
+"""Gowns: cloth that is held, falls on limbs and is pulled up an arm."""

@@ -1,0 +1,338 @@
+"""Garments as triangle meshes with two named parts: the cuff's loop and the patch that the gripper holds.
+
+The frame of a garment has its origin where it is held (the mean of the anchors), y in the direction in which
+it is pulled onto the arm, z up. ``load`` reads what ``agym_jax.offline.gown`` wrote, or anybody's own garment: an
+OBJ file and beside it a small description, a TOML file that is what is loaded::
+
+    mesh = "shirt.obj"          # in the same folder; faces with more than 3 corners are fanned
+    scale = 0.01                # to metres; 1 if left out
+    area_density = 0.209        # kg/m^2; AG's gown if left out
+    cuff = [12]                 # one vertex of a boundary loop, or all of them in order; counted from 0
+    anchors = [40, 41, 52]      # vertices that the gripper holds
+
+What could not be simulated is refused with the edge, triangle or loop that is wrong.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections import Counter, defaultdict
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from agym_jax.data.assets import asset_path
+from agym_jax.errors import AgymError, did_you_mean
+
+AG_AREA_DENSITY = 0.23 / 1.099
+"""AG dressing.py reset: 0.23 kg on 1.099 m^2 [kg/m^2]."""
+GOWN = "garments/gown.npz"
+"""The hospital gown that comes with the package."""
+MIN_CUFF = 6
+"""Vertices of a cuff: fewer do not give the two triangles of the sleeve test."""
+PARTS = {"mesh", "scale", "area_density", "cuff", "anchors"}
+"""What a description may name."""
+
+
+class GarmentError(AgymError, ValueError):
+    """A garment that could not be worn or simulated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Garment:
+    """A triangle mesh at rest, in its own frame.
+
+    Attributes:
+        name: for messages.
+        vertices: [m], (n, 3).
+        triangles: vertices of each, (t, 3).
+        cuff: vertices of the loop that the sleeve test watches, in order, (c,).
+        anchors: vertices that the gripper holds, (a,).
+        area_density: [kg/m^2].
+        hanging: vertices as it hangs at rest from its anchors [m] (n, 3), see ``hang.settle``; None where
+            nobody has let it.
+    """
+
+    name: str
+    vertices: np.ndarray
+    triangles: np.ndarray
+    cuff: np.ndarray
+    anchors: np.ndarray
+    area_density: float = AG_AREA_DENSITY
+    hanging: np.ndarray | None = None
+
+    @property
+    def areas(self) -> np.ndarray:
+        """Of the triangles [m^2] (t,)."""
+        a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
+        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1)
+
+    @property
+    def mass(self) -> float:
+        """Of the whole garment [kg]."""
+        return float(self.areas.sum() * self.area_density)
+
+    @property
+    def cuff_perimeter(self) -> float:
+        """[m]."""
+        loop = self.vertices[self.cuff]
+        return float(np.linalg.norm(loop - np.roll(loop, -1, 0), axis=-1).sum())
+
+    def edges(self) -> np.ndarray:
+        """Every edge once, the smaller vertex first (e, 2)."""
+        return np.unique(np.sort(_sides(self.triangles), axis=1), axis=0)
+
+
+def load(name: str = GOWN) -> Garment:
+    """Read and check a garment.
+
+    Args:
+        name: an asset or an absolute path: .npz, or .toml beside an OBJ file.
+
+    Raises:
+        GarmentError: it is not a garment; the message says which edge, triangle or loop is wrong.
+        MissingAssetError: no such file.
+    """
+    path = asset_path(name)
+    readers = {".npz": _read_npz, ".toml": _read_description}
+    if path.suffix not in readers:
+        raise GarmentError(
+            f"{path.name} is not a garment. {did_you_mean(path.suffix, readers)} An OBJ file needs a description: "
+            "a .toml file beside it with mesh, cuff and anchors (agym_jax.matter.cloth.garment)."
+        )
+    garment = readers[path.suffix](path)
+    check(garment)
+    held = garment.anchors
+    centred = replace(garment, vertices=garment.vertices - garment.vertices[held].mean(0))
+    if garment.hanging is None:
+        return centred
+    return replace(centred, hanging=garment.hanging - garment.hanging[held].mean(0))
+
+
+def save(garment: Garment, path: Path) -> None:
+    """Write a checked garment as .npz."""
+    check(garment)
+    fields = {k: v for k, v in vars(garment).items() if k != "name" and v is not None}
+    np.savez_compressed(path, **fields)
+
+
+def _read_npz(path: Path) -> Garment:
+    names = {"vertices", "triangles", "cuff", "anchors", "area_density"}
+    with np.load(path) as stored:
+        missing = sorted(names - set(stored.files))
+        if missing:
+            raise GarmentError(f"{path.name} has no {', '.join(missing)}; it has {stored.files}.")
+        arrays = {name: stored[name] for name in (*names, *({"hanging"} & set(stored.files)))}
+    return Garment(name=path.name, **(arrays | {"area_density": float(arrays["area_density"])}))
+
+
+def _read_description(path: Path) -> Garment:
+    with path.open("rb") as file:
+        try:
+            said = tomllib.load(file)
+        except tomllib.TOMLDecodeError as error:
+            raise GarmentError(f"{path.name} is not TOML: {error}.") from error
+    for key in said:
+        if key not in PARTS:
+            raise GarmentError(f"{path.name} names {key!r}. {did_you_mean(key, PARTS)}")
+    for key in ("mesh", "cuff", "anchors"):
+        if key not in said:
+            raise GarmentError(
+                f"{path.name} does not say {key}; a garment needs mesh, cuff and anchors."
+            )
+    vertices, triangles = _read_obj(asset_path(str((path.parent / said["mesh"]).absolute())))
+    cuff = _indices(path.name, "cuff", said["cuff"], len(vertices))
+    if len(cuff) == 1:
+        cuff = boundary_loop(path.name, triangles, int(cuff[0]))
+    return Garment(
+        name=path.name,
+        vertices=vertices * float(said.get("scale", 1.0)),
+        triangles=triangles,
+        cuff=cuff,
+        anchors=_indices(path.name, "anchors", said["anchors"], len(vertices)),
+        area_density=float(said.get("area_density", AG_AREA_DENSITY)),
+    )
+
+
+def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) and triangles (t, 3), counted from 0."""
+    vertices, triangles = [], []
+    for number, line in enumerate(path.read_text().splitlines(), 1):
+        kind, *words = line.split() or [""]
+        if kind not in ("v", "f"):
+            continue
+        try:
+            if kind == "v":
+                vertices.append([float(word) for word in words[:3]])
+                continue
+            corners = [int(word.split("/")[0]) for word in words]
+        except ValueError as error:
+            raise GarmentError(
+                f"{path.name}, line {number}: {line!r} cannot be read: {error}."
+            ) from error
+        corners = [c - 1 if c > 0 else len(vertices) + c for c in corners]
+        triangles += [[corners[0], b, c] for b, c in pairwise(corners[1:])]
+    if not triangles or any(len(v) != 3 for v in vertices):
+        raise GarmentError(f"{path.name} has no triangles, or vertices without three coordinates.")
+    return np.array(vertices), np.array(triangles)
+
+
+def check(garment: Garment) -> None:
+    """Refuse what is not one piece of cloth with a cuff and anchors.
+
+    Raises:
+        GarmentError: the message says what is wrong where.
+    """
+    name, n = garment.name, len(garment.vertices)
+    if garment.vertices.shape != (n, 3) or not np.isfinite(garment.vertices).all():
+        raise GarmentError(f"{name}: the vertices must be finite and of shape (n, 3).")
+    if not garment.area_density > 0:
+        raise GarmentError(f"{name}: area_density must be > 0 kg/m^2, got {garment.area_density}.")
+    triangles = _indices(name, "triangles", garment.triangles, n)
+    if triangles.ndim != 2 or triangles.shape[1] != 3:
+        raise GarmentError(f"{name}: triangles must have shape (t, 3), got {triangles.shape}.")
+    flat = np.flatnonzero(garment.areas < 1e-9)
+    if len(flat):
+        where = triangles[flat[0]].tolist()
+        raise GarmentError(
+            f"{name}: triangle {flat[0]} of vertices {where} has no area. Remove it."
+        )
+    if garment.hanging is not None and (
+        garment.hanging.shape != (n, 3) or not np.isfinite(garment.hanging).all()
+    ):
+        raise GarmentError(
+            f"{name}: hanging must be finite and of the shape of the vertices, ({n}, 3)."
+        )
+    _check_manifold(garment)
+    _check_cuff(garment)
+    anchors = _indices(name, "anchors", garment.anchors, n)
+    if anchors.ndim != 1 or not len(anchors) or len(set(anchors.tolist())) < len(anchors):
+        raise GarmentError(f"{name}: anchors must be a list of different vertices, at least one.")
+
+
+def check_edges(garment: Garment, thinnest: float, thickness: float) -> None:
+    """Refuse edges so long that a limb's tip could come through between the vertices.
+
+    Only vertices are kept off a limb, by the thickness of the cloth. A sphere of radius r + thickness that
+    rests on three vertices of an equilateral triangle sinks below their plane; it must not sink by more than
+    the thickness.
+
+    Args:
+        garment: checked.
+        thinnest: radius of the thinnest limb [m].
+        thickness: of the cloth [m].
+
+    Raises:
+        GarmentError: with the longest edge and the limit.
+    """
+    edges = garment.edges()
+    lengths = np.linalg.norm(garment.vertices[edges[:, 0]] - garment.vertices[edges[:, 1]], axis=1)
+    limit = longest_edge(thinnest, thickness)
+    worst = int(lengths.argmax())
+    if lengths[worst] > limit:
+        a, b = edges[worst].tolist()
+        raise GarmentError(
+            f"{garment.name}: the edge between vertices {a} and {b} is {1e3 * lengths[worst]:.1f} mm long; a limb of "
+            f"radius {1e3 * thinnest:.1f} mm could come through edges longer than {1e3 * limit:.1f} mm. Use a finer "
+            "mesh, or thicker cloth."
+        )
+
+
+def longest_edge(thinnest: float, thickness: float) -> float:
+    """Longest edge [m] through which a limb of a radius [m] does not come at a thickness [m]."""
+    return float(np.sqrt(3.0 * ((thinnest + thickness) ** 2 - thinnest**2)))
+
+
+def _check_manifold(garment: Garment) -> None:
+    """Every edge in one or two triangles; one piece; no loose vertices."""
+    name, n = garment.name, len(garment.vertices)
+    count = Counter(map(tuple, np.sort(_sides(garment.triangles), axis=1).tolist()))
+    for (a, b), times in count.items():
+        if times > 2:
+            raise GarmentError(
+                f"{name}: the edge between vertices {a} and {b} belongs to {times} triangles. Cloth is a manifold: "
+                "an edge has one or two."
+            )
+    near = defaultdict(list)
+    for a, b in count:
+        near[a].append(b)
+        near[b].append(a)
+    seen, front = {0}, [0]
+    while front:
+        for vertex in near[front.pop()]:
+            if vertex not in seen:
+                seen.add(vertex)
+                front.append(vertex)
+    if len(seen) < n:
+        loose = min(set(range(n)) - seen)
+        raise GarmentError(
+            f"{name} is not one piece: vertex {loose} hangs together with none of the {len(seen)} vertices around "
+            "vertex 0. Join the pieces (merge doubled vertices), or remove what is left over."
+        )
+
+
+def _check_cuff(garment: Garment) -> None:
+    """A closed loop of edges of different vertices."""
+    name = garment.name
+    cuff = _indices(name, "cuff", garment.cuff, len(garment.vertices)).tolist()
+    if len(cuff) < MIN_CUFF or len(set(cuff)) < len(cuff):
+        raise GarmentError(
+            f"{name}: the cuff must have {MIN_CUFF} different vertices or more, got {cuff}."
+        )
+    edges = set(map(tuple, garment.edges().tolist()))
+    for a, b in zip(cuff, [*cuff[1:], cuff[0]], strict=True):
+        if (min(a, b), max(a, b)) not in edges:
+            raise GarmentError(
+                f"{name}: the cuff is not a closed loop of edges: vertices {a} and {b} follow each other in it, but no "
+                "edge joins them. Name its vertices in order, or one vertex of a boundary."
+            )
+
+
+def boundary_loop(name: str, triangles: np.ndarray, vertex: int) -> np.ndarray:
+    """Vertices of the boundary through a vertex, in order.
+
+    Args:
+        name: of the garment, for messages.
+        triangles: (t, 3).
+        vertex: where it begins.
+    """
+    sides = np.sort(_sides(triangles), axis=1)
+    edges, times = np.unique(sides, axis=0, return_counts=True)
+    near = defaultdict(list)
+    for a, b in edges[times == 1].tolist():
+        near[a].append(b)
+        near[b].append(a)
+    if len(near[vertex]) != 2:
+        raise GarmentError(
+            f"{name}: vertex {vertex} lies on {len(near[vertex])} edges of the boundary; a vertex of the cuff lies on 2."
+        )
+    loop, last = [vertex], vertex
+    here = near[vertex][0]
+    while here != vertex:
+        loop.append(here)
+        if len(near[here]) != 2:
+            raise GarmentError(
+                f"{name}: the boundary of the cuff meets another one at vertex {here}."
+            )
+        last, here = here, next(v for v in near[here] if v != last)
+    return np.array(loop)
+
+
+def _indices(name: str, what: str, values: object, n: int) -> np.ndarray:
+    """Integer array of vertices, or an error that names the first that does not exist."""
+    array = np.asarray(values)
+    if array.size == 0 or not np.issubdtype(array.dtype, np.integer):
+        raise GarmentError(f"{name}: {what} must be numbers of vertices, got {values!r}.")
+    wrong = array[(array < 0) | (array >= n)]
+    if wrong.size:
+        raise GarmentError(
+            f"{name}: {what} name vertex {wrong.flat[0]}; there are {n}, counted from 0."
+        )
+    return array
+
+
+def _sides(triangles: np.ndarray) -> np.ndarray:
+    """Sides of triangles (3 t, 2)."""
+    return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])

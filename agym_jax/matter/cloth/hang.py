@@ -1,0 +1,42 @@
+"""A garment as it hangs from where it is held, with nothing near: how an episode begins.
+
+Assistive Gym drops the gown from its mesh at every reset and lets it settle for 2 s at half the gravity
+(dressing.py reset). Here it settles once, offline, until it is at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from agym_jax.matter.cloth.solver import anchor_positions, initial, step
+from agym_jax.matter.cloth.garment import Garment
+from agym_jax.matter.shapes import no_capsules
+from agym_jax.matter.cloth.topology import ClothSpec, Fabric, weave
+
+DT = 0.01  # physics step [s]
+TIME = 12.0  # [s]
+CALM = 4.0  # damping while it settles [1/s]
+
+
+def settle(garment: Garment, fabric: Fabric = Fabric()) -> Garment:  # noqa: B008  frozen
+    """The same garment, with ``hanging`` as it comes to rest.
+
+    Args:
+        garment: upright in its frame, held at its anchors.
+        fabric: its properties.
+    """
+    spec: ClothSpec = weave(garment, replace(fabric, damping=CALM))
+    anchors, nothing = anchor_positions(spec, jnp.zeros(3)), no_capsules()
+
+    @jax.jit
+    def hang() -> jax.Array:
+        def one(cloth, _):
+            return step(spec, cloth, nothing, nothing, anchors, anchors, DT)[0], None
+
+        return jax.lax.scan(one, initial(spec, jnp.zeros(3)), length=round(TIME / DT))[0].pos_w
+
+    return replace(garment, hanging=np.asarray(hang()))

@@ -1,0 +1,346 @@
+"""From a garment to what the cloth solver needs: masses, coloured edges, bending pairs, tethers. NumPy, once.
+
+Edges are coloured so that no two of a colour share a vertex: all edges of a colour are relaxed at once, each
+wholly, which converges several times faster than averaging over neighbours and conserves momentum exactly.
+Tables have one row per colour (or neighbour) and one column per vertex: the solver only ever gathers. A vertex
+without a partner in a row is its own partner.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from agym_jax.matter.cloth.garment import Garment, GarmentError, check, check_edges
+
+SHEAR_RATIO = 1.2
+"""An edge longer than every other side of its triangles by this runs across the threads: it shears."""
+BENDING_SPRING = 15.0
+"""Stiffness [N/m] of the spring between the two tips of a hinge, times their distance squared, over the bending
+rigidity: gives a right-angled fold of a triangle lattice the moment of a plate that is bent as much."""
+USUAL_EDGE = 0.52 / 22
+"""Edges for which this holds [m], the gown's. The moment of such a spring grows with the cube of the fold, and finer
+cloth folds less from hinge to hinge, so its springs are stiffer by the square of the fineness: equal curvature,
+equal moment at any resolution."""
+USUAL_SUBSTEPS = 5
+"""For such edges. Finer cloth takes more sweeps to be as stiff: more by the square of the fineness."""
+ANYWHERE = 1e6
+"""How far from its anchor a vertex may be while nothing holds the cloth [m]."""
+RELAXED = 1.0
+"""Bound on the share of a vertex's bending errors that one substep undoes; above 4/3 they could grow."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Distance constraints between vertices: at most one per vertex and row.
+
+    Attributes:
+        partner: the other vertex, or the vertex itself for none, (r, n) int32.
+        rest: distance at rest [m], 1 for none, (r, n).
+        compliance: [m/N], (r, n).
+        active: 0 for none, (r, n).
+    """
+
+    partner: np.ndarray
+    rest: np.ndarray
+    compliance: np.ndarray
+    active: np.ndarray
+
+
+@dataclass(frozen=True)
+class Fabric:
+    """Properties of cloth and of its solver. Hashable; ``weave`` joins it with a garment.
+
+    Attributes:
+        stretch: compliance along the threads [m/N]: cotton gives a few percent at 100 N/m.
+        shear: compliance of a diagonal [m/N].
+        bending: rigidity [N m]: cotton of 0.2 kg/m^2 that bends under its own weight at 2.5 cm.
+        thickness: distance at which vertices are kept from solids [m].
+        friction: with everything. AG: kDF 0.25.
+        damping: of velocities, air drag [1/s].
+        gravity: along world z [m/s^2].
+        substeps: in one physics step of 10 ms; each is one sweep over the edges. None: as many as its edges need.
+        max_speed: vertices are never faster [m/s].
+    """
+
+    stretch: float = 1e-4
+    shear: float = 0.02
+    bending: float = 3e-5
+    thickness: float = 0.008
+    friction: float = 0.25
+    damping: float = 1.0
+    gravity: float = -9.81
+    substeps: int | None = None
+    max_speed: float = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class ClothSpec:
+    """A garment made ready for the solver; a constant of compiled programs.
+
+    Attributes:
+        fabric: properties.
+        substeps: in one physics step of 10 ms.
+        garment: n vertices, at rest where they begin.
+        mass: of the vertices [kg], (n,).
+        held: index among the anchors, -1 for a free vertex, (n,).
+        edges: one row per colour, (c, n).
+        hinges: one row per neighbour, (b, n): opposite tips of the two triangles of an edge.
+        tether: index of the nearest anchor along the cloth, (n,).
+        reach: distance to it along the cloth [m], (n,).
+    """
+
+    fabric: Fabric
+    substeps: int
+    garment: Garment
+    mass: np.ndarray
+    held: np.ndarray
+    edges: Pairs
+    hinges: Pairs
+    tether: np.ndarray
+    reach: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """n, vertices."""
+        return len(self.mass)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """What one sweep reads of pairs: row by row, while the cloth is held [0] and while it is not [1]."""
+
+    partner: np.ndarray  # the other vertex                                 (2, r, n) int32
+    rest: np.ndarray  # distance at rest [m]                                (2, r, n)
+    share: np.ndarray  # of the pair's error that a vertex undoes           (2, r, n)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """What a substep reads of the cloth: while it is held [0] and while it is not [1]."""
+
+    hinges: Sweep
+    edges: Sweep
+    free: np.ndarray  # 1 for vertices that nothing holds, else 0           (2, 1, n)
+    tether: np.ndarray  # the anchor that holds it, or else the nearest     (2, 1, n) int32
+    reach: np.ndarray  # no vertex is farther from it [m]                   (2, 1, n)
+
+
+def tables(spec: ClothSpec, h: float) -> Tables:
+    """Tables for substeps of h [s]."""
+    anchored = spec.held >= 0
+    cases = anchored, np.zeros_like(anchored)
+    hinge, edge = zip(*(_all_shares(spec, held, h) for held in cases), strict=True)
+    both = lambda x: np.stack([x, x])  # noqa: E731
+
+    def sweep(pairs: Pairs, shares: tuple[np.ndarray, ...]) -> Sweep:
+        rest, share = (x.astype(np.float32) for x in (both(pairs.rest), np.stack(shares)))
+        return Sweep(partner=both(pairs.partner.astype(np.int32)), rest=rest, share=share)
+
+    return Tables(
+        hinges=sweep(spec.hinges, hinge),
+        edges=sweep(spec.edges, edge),
+        free=np.stack([~held[None] for held in cases]).astype(np.float32),
+        tether=both(np.where(anchored, spec.held, spec.tether).astype(np.int32)[None]),
+        reach=np.stack([spec.reach[None], np.full((1, spec.count), ANYWHERE)]).astype(np.float32),
+    )
+
+
+def _all_shares(spec: ClothSpec, held: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of hinges and of edges, (r, n) each, while some vertices (n,) are held."""
+    inverse = np.where(held, 0.0, 1.0 / spec.mass)
+    hinge, edge = (_shares(p, inverse, h) for p in (spec.hinges, spec.edges))
+    crowd = np.maximum(hinge.sum(0), 1e-9) / RELAXED
+    # the same for both of a pair: momentum stays
+    crowd = np.maximum(crowd, crowd[spec.hinges.partner])
+    return hinge / np.maximum(crowd, 1.0), edge
+
+
+def _shares(pairs: Pairs, inverse: np.ndarray, h: float) -> np.ndarray:
+    """Share of a pair's error that its first vertex undoes in a substep (r, n)."""
+    both = inverse + inverse[pairs.partner] + pairs.compliance / h**2
+    return pairs.active * inverse / np.maximum(both, 1e-12)
+
+
+def weave(garment: Garment, fabric: Fabric = Fabric(), thinnest: float = 0.027) -> ClothSpec:
+    """Make a garment ready for the solver.
+
+    Args:
+        garment: checked here.
+        fabric: its properties.
+        thinnest: radius of the thinnest limb [m]; the forearm of AG's woman is the default.
+
+    Raises:
+        GarmentError: the garment, or its fabric, cannot be simulated.
+    """
+    check(garment)
+    _check_fabric(fabric)
+    check_edges(garment, thinnest, fabric.thickness)
+    n = len(garment.vertices)
+    corner = np.repeat(garment.areas * garment.area_density / 3, 3)
+    mass = np.bincount(garment.triangles.ravel(), corner, n)
+    held = np.full(n, -1)
+    held[garment.anchors] = np.arange(len(garment.anchors))
+    edges, hinges = garment.edges(), _hinges(garment.triangles)
+    shears, lengths = _shears(garment, edges), _lengths(garment, edges)
+    apart = _lengths(garment, hinges)
+    fineness = USUAL_EDGE / float(np.median(lengths[~shears]))
+    spring = BENDING_SPRING * fineness**2 * max(fabric.bending, 1e-12)
+    tether, reach = _tethers(garment, np.concatenate([edges, hinges]))
+    return ClothSpec(
+        fabric=fabric,
+        substeps=fabric.substeps or max(1, math.ceil(USUAL_SUBSTEPS * fineness**2 - 1e-6)),
+        garment=garment,
+        mass=mass,
+        held=held,
+        edges=_rows(
+            n, edges, lengths, np.where(shears, fabric.shear, fabric.stretch), _colours(edges)
+        ),
+        hinges=_rows(n, hinges, apart, apart**2 / spring, None),
+        tether=tether,
+        reach=reach,
+    )  # fmt: skip
+
+
+def _check_fabric(fabric: Fabric) -> None:
+    positive = ("thickness", "substeps", "max_speed")
+    for name, value in vars(fabric).items():
+        if name == "gravity" or value is None:
+            continue
+        if not np.isfinite(value) or value < 0 or (name in positive and not value > 0):
+            bound = "> 0" if name in positive else ">= 0"
+            raise GarmentError(f"Fabric needs {name} {bound}, got {value}.")
+
+
+def _lengths(garment: Garment, pairs: np.ndarray) -> np.ndarray:
+    """Distances of pairs of vertices at rest [m] (p,)."""
+    v = garment.vertices
+    return np.linalg.norm(v[pairs[:, 0]] - v[pairs[:, 1]], axis=1)
+
+
+def _hinges(triangles: np.ndarray) -> np.ndarray:
+    """The two vertices opposite to every edge that has two triangles (h, 2)."""
+    tips: dict[tuple[int, int], list[int]] = {}
+    for a, b, c in triangles.tolist():
+        for u, v, tip in ((a, b, c), (b, c, a), (c, a, b)):
+            tips.setdefault((min(u, v), max(u, v)), []).append(tip)
+    return np.array([sorted(t) for t in tips.values() if len(t) == 2]).reshape(-1, 2)
+
+
+def _shears(garment: Garment, edges: np.ndarray) -> np.ndarray:
+    """Which edges are the longest of all their triangles by far (e,) bool."""
+    key = {tuple(e): i for i, e in enumerate(edges.tolist())}
+    length = _lengths(garment, edges)
+    shears = np.ones(len(edges), bool)
+    for a, b, c in garment.triangles.tolist():
+        sides = [key[min(u, v), max(u, v)] for u, v in ((a, b), (b, c), (c, a))]
+        for i, side in enumerate(sides):
+            others = max(length[sides[i - 1]], length[sides[i - 2]])
+            shears[side] &= length[side] > SHEAR_RATIO * others
+    return shears
+
+
+def _colours(edges: np.ndarray) -> np.ndarray:
+    """Colours of edges, so that no two of a colour meet: as many as edges meet anywhere, or few more (e,).
+
+    Where no colour is free at both ends, the chain of edges of one end's and the other end's free colours is
+    swapped (Kempe).
+    """
+    at: list[dict[int, int]] = [{} for _ in range(int(edges.max()) + 1)]  # vertex: colour -> edge
+    most = int(np.bincount(edges.ravel()).max())
+    colour = np.full(len(edges), -1)
+
+    def paint(edge: int, c: int) -> None:
+        colour[edge] = c
+        for v in edges[edge]:
+            at[v][c] = edge
+
+    def free(vertex: int, count: int) -> list[int]:
+        return [c for c in range(count) if c not in at[vertex]]
+
+    def chain(vertex: int, c: int, other: int) -> tuple[list[int], int]:
+        """Edges of alternating colours from a vertex, and where they end."""
+        path: list[int] = []
+        while c in at[vertex]:
+            path.append(at[vertex][c])
+            a, b = edges[path[-1]].tolist()
+            vertex, c, other = (b if vertex == a else a), other, c
+        return path, vertex
+
+    def make_room(a: int, b: int) -> int | None:
+        for mine in free(a, most):
+            for its in free(b, most):
+                path, end = chain(b, mine, its)
+                if end == a:
+                    continue
+                for edge in path:
+                    for v in edges[edge]:
+                        at[v].pop(colour[edge], None)
+                for edge in path:
+                    paint(edge, mine + its - colour[edge])
+                return mine
+        return None
+
+    for i, (a, b) in enumerate(edges.tolist()):
+        both = [c for c in free(a, most) if c not in at[b]]
+        c = both[0] if both else make_room(a, b)
+        if c is None:
+            c = next(c for c in range(most, 2 * most) if c not in at[a] and c not in at[b])
+        paint(i, c)
+    return colour
+
+
+def _rows(
+    n: int, pairs: np.ndarray, rest: np.ndarray, compliance: np.ndarray, colour: np.ndarray | None
+) -> Pairs:
+    """Tables of pairs: a row per colour, or without colours each vertex's pairs one below the other."""
+    if colour is None:
+        places, filled = [], np.zeros(n, int)
+        for a, b in pairs.tolist():
+            places.append((filled[a], filled[b]))
+            filled[a] += 1
+            filled[b] += 1
+        place = np.array(places, int).reshape(-1, 2)
+    else:
+        place = np.stack([colour, colour], -1)
+    rows = int(place.max(initial=0)) + 1
+    table = Pairs(
+        partner=np.tile(np.arange(n, dtype=np.int32), (rows, 1)),
+        rest=np.ones((rows, n)),
+        compliance=np.zeros((rows, n)),
+        active=np.zeros((rows, n)),
+    )
+    for own, other in ((0, 1), (1, 0)):
+        at = place[:, own], pairs[:, own]
+        table.partner[at] = pairs[:, other]
+        table.rest[at], table.compliance[at], table.active[at] = rest, compliance, 1.0
+    return table
+
+
+def _tethers(garment: Garment, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest anchor along the cloth, as an index among the anchors, and the way to it [m], each (n,).
+
+    The way follows edges and hinges, so it is a few percent longer than the shortest one at most.
+    """
+    n = len(garment.vertices)
+    near: list[list[tuple[int, float]]] = [[] for _ in range(n)]
+    for (a, b), d in zip(links.tolist(), _lengths(garment, links).tolist(), strict=True):
+        near[a].append((b, d))
+        near[b].append((a, d))
+    reach, tether = np.full(n, np.inf), np.zeros(n, int)
+    queue = [(0.0, v, slot) for slot, v in enumerate(garment.anchors.tolist())]
+    while queue:
+        d, vertex, slot = heapq.heappop(queue)
+        if d >= reach[vertex]:
+            continue
+        reach[vertex], tether[vertex] = d, slot
+        for other, way in near[vertex]:
+            if d + way < reach[other]:
+                heapq.heappush(queue, (d + way, other, slot))
+    return tether, reach

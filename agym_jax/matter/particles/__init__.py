@@ -1,0 +1,1 @@
+"""Food and water: particles in a container, and what they touch."""

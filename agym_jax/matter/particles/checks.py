@@ -1,0 +1,78 @@
+"""What particles need to be simulated well; refused before anything runs, with the limit."""
+
+from __future__ import annotations
+
+import math
+
+from agym_jax.errors import AgymError
+from agym_jax.matter.particles.solver import ParticleSpec
+from agym_jax.matter.particles.containers import Vessel
+
+PACKING = 0.5
+"""Share of the room that spheres may take up: loosely packed, they fill 0.55 of it."""
+SIDEWAYS = 2.0
+"""A vessel's wall is guarded on ways shorter than its opening: this times the radius of the opening."""
+
+
+class MatterError(AgymError, ValueError):
+    """Particles that do not fit their vessel or their time step."""
+
+
+def capacity(vessel: Vessel, radius: float) -> int:
+    """How many spheres of a radius [m] a vessel holds: level with the rim, and half a layer above it."""
+    room = vessel.volume + vessel.mouth_area * radius
+    return math.floor(PACKING * room / (4 / 3 * math.pi * radius**3))
+
+
+def speed_limit(spec: ParticleSpec, dt: float, thinnest: float) -> float:
+    """Greatest speed [m/s] at which no particle crosses anything in one substep.
+
+    Solids are left by the side that is nearest, so a particle has to stop short of their middle; the
+    wall of the vessel has a memory of sides, and fails only on ways across the whole opening.
+
+    Args:
+        spec: of the particles.
+        dt: physics step [s].
+        thinnest: least half thickness of the person's capsules and the furniture [m].
+    """
+    h = dt / spec.substeps
+    return min(thinnest + spec.radius, SIDEWAYS * spec.vessel.brim[0]) / h
+
+
+def check(spec: ParticleSpec, dt: float, thinnest: float = math.inf) -> None:
+    """Refuse particles that could not be simulated well.
+
+    Args:
+        spec: of the particles.
+        dt: physics step [s].
+        thinnest: least half thickness of the person's capsules and the furniture [m].
+
+    Raises:
+        MatterError: no vessel, more particles than it holds, or steps in which one could cross a
+            wall; the message has the limit.
+    """
+    if not isinstance(spec.vessel, Vessel):
+        raise MatterError(
+            f"{spec.count} particles need a vessel, got {spec.vessel!r}. Give the tool an inside: a Cup or "
+            "a Bowl of agym_jax.matter.particles.containers, such as CUP or SPOON."
+        )
+    numbers = {"count": spec.count, "radius": spec.radius, "mass": spec.mass, "dt": dt}
+    numbers |= {"substeps": spec.substeps, "sweeps": spec.sweeps, "max_speed": spec.max_speed}
+    for name, value in numbers.items():
+        if not value > 0:
+            raise MatterError(f"Particles need {name} > 0, got {value}.")
+    most = capacity(spec.vessel, spec.radius)
+    if spec.count > most:
+        raise MatterError(
+            f"{spec.count} particles of radius {spec.radius} m do not fit into a vessel of "
+            f"{1e6 * spec.vessel.volume:.1f} cm^3: it holds {most}. Use fewer or smaller particles, or "
+            "a larger vessel."
+        )
+    limit = speed_limit(spec, dt, thinnest)
+    if spec.max_speed > limit:
+        needed = math.ceil(spec.substeps * spec.max_speed / limit)
+        raise MatterError(
+            f"At {spec.max_speed} m/s a particle could cross a wall within one substep of "
+            f"{1e3 * dt / spec.substeps:.2f} ms: up to {limit:.2f} m/s it cannot. Use substeps={needed} or "
+            "more, or a lower max_speed."
+        )

@@ -1,0 +1,1 @@
+"""What builds the packaged assets: start placements, postures, settled matter, garments. Not needed to step."""

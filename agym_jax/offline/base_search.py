@@ -1,0 +1,386 @@
+"""Where a robot should stand and start: the batched counterpart of Assistive Gym's base search.
+
+AG v0.1 ``env.py`` position_robot_toc (reference robots.md section 7): draw bases beside the person,
+solve inverse kinematics for the start pose and for the points that the task will need, and prefer
+bases that reach all of them, with joints far from their limits and the hand free to move. AG tries
+100 bases at every reset; here thousands are tried at once, offline, over the range of people.
+
+DEVIATION(start-free): start poses in which robot or tool would touch the person, the furniture or the
+robot itself are left out; AG looks for the last only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from agym_jax.offline import kinematics
+from agym_jax.offline.clearance import Clearance
+from agym_jax.errors import SpecError
+from agym_jax.human import body
+from agym_jax.human import population as draw
+from agym_jax.human import pose as person_pose
+from agym_jax.sim.scene import build_scene
+from agym_jax.spec import RobotSpec, Task
+from agym_jax.state import Placement
+
+REACHED = 0.001
+"""A start pose counts as reached within this distance [m] (AG: 0.03) and REACHED_ROTATION [rad]."""
+REACHED_ROTATION = 0.01
+GOAL_REACHED = 0.03
+"""A further goal counts as reached within this distance [m], as in AG."""
+CLEARANCE = 0.005
+"""Least distance [m] of robot and tool from person, furniture and the rest of the robot at the start."""
+NEARLY = 0.8
+"""Solutions with at least this share of the best isotropy may be taken for the sake of likeness."""
+YAW = np.deg2rad(30.0)
+TRIES = 8
+"""Candidates for every row that is kept, where a base is searched."""
+
+
+@dataclass(frozen=True)
+class Goals:
+    """What a batch of N candidates has to reach, in the world."""
+
+    base_pos: np.ndarray  # (N, 3)
+    base_yaw: np.ndarray  # (N,), about the fixed base's own orientation, if any
+    start: np.ndarray  # of each hand (N, n_arms, 3)
+    points: tuple[np.ndarray, ...]  # of each arm, further points (N, n_points, 3)
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a search went."""
+
+    tried: int
+    start_reached: int
+    goals_reached: dict[str, int]  # of those whose start was reached
+    kept: int
+
+    def table(self) -> str:
+        """One line for people to read."""
+        share = lambda n, of: f"{100 * n / max(of, 1):.0f} %"  # noqa: E731
+        goals = ", ".join(
+            f"{k} {share(v, self.start_reached)}" for k, v in self.goals_reached.items()
+        )
+        return (
+            f"{self.tried} tried, start reached by {share(self.start_reached, self.tried)}; of "
+            f"these {goals or 'no further goals'}; {self.kept} kept"
+        )
+
+
+def search(
+    task: Task, robot: RobotSpec, seed: int = 0, size: int = 512, restarts: int = 32
+) -> tuple[Placement, Report]:
+    """Find start placements for a task-robot pair.
+
+    Args:
+        task: gives hands' starts and goals.
+        robot: gives bases, orientations and chains.
+        seed: of everything random.
+        size: rows to return, at most.
+        restarts: random beginnings of the inverse kinematics of a start pose, so that its best
+            family of solutions is found; a quarter of them for the further goals.
+
+    Returns:
+        the rows, best first, and how the search went.
+
+    Raises:
+        SpecError: robot and task do not fit together, a goal is out of every base's reach, or no start
+            pose is both reached and free.
+    """
+    scene = build_scene(task, robot)
+    chains = _chains(scene)
+    fixed = robot.fixed_base(task)
+    n = int(1.5 * size) if fixed else TRIES * size
+    goals = _draw_goals(task, robot, len(chains), n, seed)
+    rotations = [start_rotation(task, robot, i, scene) for i in range(len(chains))]
+    quats = _base_quats(goals.base_yaw, fixed.quat if fixed else (1.0, 0.0, 0.0, 0.0))
+    rots = np.array([kinematics.rotation_matrix(q) for q in quats])
+    key = jax.random.PRNGKey(seed + 1)
+
+    angles, scores, ok = [], np.zeros(n), np.ones(n, bool)
+    reached: dict[str, Any] = {}
+    names = _goal_names(task, len(chains))
+    for a, chain in enumerate(chains):
+        solve = partial(_solve, chain)
+        to_base = lambda p: np.einsum("nji,nj->ni", rots, p - goals.base_pos)  # noqa: E731
+        turn = np.einsum("nji,jk->nik", rots, rotations[a])
+        key, sub = jax.random.split(key)
+        q, distance, rotation, score = solve(sub, to_base(goals.start[:, a]), turn, 0.3, restarts)
+        good = (distance < REACHED) & (rotation < REACHED_ROTATION)
+        rows = np.arange(n)
+        value = np.where(good, score, -1.0)
+        if len(chains) == 1:
+            free = partial(_free_share, Clearance(task, robot), goals.base_pos, quats, q)
+            best = _free_family(q, value, chain, free)
+        else:  # whether an arm is free depends on the other one too
+            best = _one_family(q, value, chain)
+        angles.append(q[rows, best])
+        ok &= good[rows, best]
+        scores += np.where(good[rows, best], score[rows, best], 0.0)
+        for i, name in enumerate(names[a]):
+            key, sub = jax.random.split(key)
+            _, distance, _, score = solve(
+                sub, to_base(goals.points[a][:, i]), turn, 0.0, max(1, restarts // 4)
+            )
+            good = distance < GOAL_REACHED
+            reached[name] = good.any(axis=1)
+            scores += np.where(good, score, 0.0).max(axis=1)
+    for name, hits in reached.items():
+        if ok.any() and not (hits & ok).any():
+            raise SpecError(
+                f"No base of {robot.name} from which {task.name} can start reaches the goal {name!r} "
+                f"({n} tried). Widen RobotSpec.searches[{task.name!r}] or change Task.goals."
+            )
+    count = sum((hits.astype(int) for hits in reached.values()), np.zeros(n, int))
+    order = np.lexsort((-scores, -count))
+    joined = _unwind(np.concatenate(angles, axis=1), chains, ok)
+    candidates = Placement(goals.base_pos, quats, joined)  # pyrefly: ignore[bad-argument-type]
+    rows = _free_rows(task, robot, candidates, order[ok[order]], size)
+    report = Report(
+        n, int(ok.sum()), {k: int((v & ok).sum()) for k, v in reached.items()}, len(rows)
+    )
+    if not rows:
+        raise SpecError(f"{robot.name} finds no free start for {task.name}: {report.table()}.")
+    pick = np.array(rows)
+    bank = jax.tree.map(lambda x: jnp.asarray(x[pick], jnp.float32), candidates)
+    return bank, report
+
+
+def start_rotation(task: Task, robot: RobotSpec, arm: int, scene) -> np.ndarray:
+    """Orientation of a hand's end-effector site at the start, world (3, 3).
+
+    A robot that names none for the task starts with its hand pointing along +x, at the person, and
+    its fingers opening sideways.
+    """
+    if task.name in robot.start_rotations:
+        return kinematics.rotation_matrix(np.array(robot.start_rotations[task.name]))
+    model, spec = scene.model, scene.arms[arm]
+    rot = lambda name: kinematics.rotation_matrix(model.site(f"robot/{name}").quat)  # noqa: E731
+    tool_in_hand = rot(spec.end_effector).T @ rot(spec.tool_frame)
+    forwards = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    return forwards @ tool_in_hand.T
+
+
+def _chains(scene) -> list[kinematics.Chain]:
+    model, index = scene.model, scene.index
+    chains = []
+    for tool, arm in zip(index.tools, scene.arms, strict=True):
+        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"robot/{arm.end_effector}")
+        chains.append(kinematics.chain_of(model, tool.joints, site, index.robot_base))
+    return chains
+
+
+def _goal_names(task: Task, n_arms: int) -> list[list[str]]:
+    """Names of the further goals of each arm; one arm has to reach those of both."""
+    if n_arms == len(task.goals):
+        return [list(names) for names in task.goals]
+    return [[name for names in task.goals for name in names]]
+
+
+def _draw_goals(task: Task, robot: RobotSpec, n_arms: int, n: int, seed: int) -> Goals:
+    """Bases, start positions and the points of as many people (64 of them, repeated)."""
+    rng = np.random.default_rng(seed)
+    fixed, area = robot.fixed_base(task), robot.base_search(task.name)
+    if fixed:
+        base, yaw = np.tile(np.array(fixed.pos), (n, 1)), np.zeros(n)
+    else:
+        away = area.side * rng.uniform(0.0, area.spread, n)
+        along = rng.uniform(-area.spread, area.spread, n)
+        base = np.array(area.centre) + np.stack([away, along, np.zeros(n)], axis=1)
+        yaw = area.yaw + rng.uniform(-YAW, YAW, n)
+    keys = jax.random.split(jax.random.PRNGKey(seed), n)
+    start = np.asarray(jax.vmap(lambda k: task.start(k, robot.name))(keys))
+    if start.ndim != 3 or start.shape[1] < n_arms or start.shape[2] != 3:
+        raise SpecError(
+            f"{task.name}.start must give one row [m] for each arm, of shape ({n_arms}, 3); with "
+            f"{robot.name} it gives {start.shape[1:]}."
+        )
+    people = _points(task, [x for names in task.goals for x in names], 64, seed)
+    who = rng.integers(0, 64, n)
+    points = tuple(
+        np.stack([people[name][who] for name in names], axis=1) if names else np.zeros((n, 0, 3))
+        for names in _goal_names(task, n_arms)
+    )
+    return Goals(base, yaw, start[:, :n_arms], points)
+
+
+def _points(task: Task, names: list[str], count: int, seed: int) -> dict[str, np.ndarray]:
+    """Where those points of drawn people are, world [m] name -> (count, 3)."""
+    spec = task.person
+
+    def one(key: jax.Array) -> tuple[draw.Person, person_pose.Pose]:
+        key_person, key_pose = jax.random.split(key)
+        person = draw.draw_person(
+            key_person, draw.People(), len(spec.joints), spec.tremor_amplitude, spec.impairments
+        )
+        return person, person_pose.draw_pose(key_pose, spec, person)
+
+    keys = jax.random.split(jax.random.PRNGKey(seed), count)
+    drawn = jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(keys))
+    order = [link.name for link in body.LINKS]
+    found: dict[str, list] = {name: [] for name in names}
+    for i in range(count):
+        person, pose = jax.tree.map(lambda x: x[i], drawn)  # noqa: B023
+        # nothing moves here, so every link is posed in the world
+        rows = person_pose.rows(spec, pose, person.dims, (), person.limit_scale, np)
+        for name in found:
+            row = order.index("head" if name == "mouth" else name)
+            point = np.array(rows.body_pos[row])
+            if name == "mouth":
+                local = np.array([0.0, person.dims.mouth_y, person.dims.mouth_z])
+                point = point + kinematics.rotation_matrix(rows.body_quat[row]) @ local
+            found[name].append(point)
+    return {name: np.array(rows) for name, rows in found.items()}
+
+
+def _one_family(q: np.ndarray, score: np.ndarray, chain: kinematics.Chain) -> np.ndarray:
+    """Which solution of each candidate to take: alike ones, among those that are nearly the best.
+
+    A pose has several solutions (elbow up or down, wrist flipped), often equally good. A policy has
+    an easier life if every episode starts from the same family.
+
+    Args:
+        q: solutions [rad] (N, restarts, n).
+        score: of each, -1 where it does not reach (N, restarts).
+        chain: for the limits.
+
+    Returns:
+        (N,) index of the solution; the best where none is good.
+    """
+    fine = (score > 0) & (score >= NEARLY * score.max(axis=1, keepdims=True))
+    if not fine.any():
+        return np.argmax(score, axis=1)
+    wrap = partial(_wrap, chain=chain)
+    pool = q[fine]
+    pick = np.random.default_rng(0).permutation(len(pool))
+    seeds, others = pool[pick[:256]], pool[pick[-2048:]]
+    alike = np.abs(wrap(seeds[:, None] - others[None])).max(axis=-1) < 1.0
+    middle = seeds[np.argmax(alike.sum(axis=1))]
+    apart = np.linalg.norm(wrap(q - middle), axis=-1)
+    return np.argmin(np.where(fine, apart, np.inf), axis=1)
+
+
+def _wrap(difference: np.ndarray, chain: kinematics.Chain) -> np.ndarray:
+    """Differences of angles (..., n), those of joints that turn freely the short way round [rad]."""
+    free = chain.upper - chain.lower > 2 * np.pi + 0.1
+    return np.where(free, (difference + np.pi) % (2 * np.pi) - np.pi, difference)
+
+
+def _free_family(
+    q: np.ndarray, score: np.ndarray, chain: kinematics.Chain, free: Callable[[np.ndarray], float]
+) -> np.ndarray:
+    """As ``_one_family``, but a family that mostly touches something gives way to the next one.
+
+    Args:
+        q: solutions [rad] (N, restarts, n).
+        score: of each, -1 where it does not reach (N, restarts).
+        chain: for the limits.
+        free: share of free poses when each candidate takes the given solution (N,).
+
+    Returns:
+        (N,) index of the solution, of the first family that is free for at least half of the
+        candidates, else of the one that is free most often.
+    """
+    rows, left = np.arange(len(q)), score.copy()
+    best, most = _one_family(q, left, chain), -1.0
+    while (left > 0).any() and most < 0.5:
+        pick = _one_family(q, left, chain)
+        reached = left[rows, pick] > 0
+        share = free(np.where(reached, pick, -1))
+        if share > most:
+            best, most = np.where(reached, pick, best), share
+        alike = np.abs(_wrap(q - q[rows, pick][:, None], chain)).max(axis=-1) < 1.0
+        left = np.where(alike & reached[:, None], -1.0, left)
+    return best
+
+
+def _free_share(
+    clearance: Clearance, pos: np.ndarray, quat: np.ndarray, q: np.ndarray, pick: np.ndarray
+) -> float:
+    """Share of the picked solutions (N,), -1 for none, that touch nothing: of 24 of them."""
+    some = np.random.default_rng(0).permutation(np.flatnonzero(pick >= 0))[:24]
+    return float(np.mean([
+        _is_free(clearance, Placement(pos[i], quat[i], q[i, pick[i]])) for i in some
+    ]))  # fmt: skip
+
+
+def _is_free(clearance: Clearance, place: Placement) -> bool:
+    return clearance.inside(place) > CLEARANCE and clearance.outside(place) > CLEARANCE
+
+
+def _solve(chain, key, pos, rot, weight, restarts):
+    """Inverse kinematics of N poses from several beginnings each: (N, restarts, ...)."""
+    low, high = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
+    high = np.where(high < low + 0.5, chain.upper, high)
+    starts = jax.random.uniform(
+        key, (len(pos), restarts, len(low)), minval=jnp.asarray(low), maxval=jnp.asarray(high)
+    )
+    out = _solver(id(chain), chain)(
+        starts, jnp.asarray(pos, jnp.float32), jnp.asarray(rot, jnp.float32), weight
+    )
+    return tuple(np.asarray(x) for x in out)
+
+
+_COMPILED: dict[int, Any] = {}
+
+
+def _solver(key: int, chain: kinematics.Chain) -> Any:
+    if key not in _COMPILED:
+
+        def one(start, pos, rot, weight):
+            q, distance, turn = kinematics.inverse(chain, start, pos, rot, 40, weight=weight)
+            return q, distance, turn, kinematics.isotropy(chain, q)
+
+        _COMPILED[key] = jax.jit(jax.vmap(jax.vmap(one, (0, None, None, None)), (0, 0, 0, None)))
+    return _COMPILED[key]
+
+
+def _base_quats(yaw: np.ndarray, quat: tuple[float, ...]) -> np.ndarray:
+    """Quaternions wxyz (N, 4) of a base turned about the vertical."""
+    out = np.zeros((len(yaw), 4))
+    for row, angle in zip(out, yaw, strict=True):
+        turn = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
+        mujoco.mju_mulQuat(row, turn, np.array(quat))
+    return out
+
+
+def _free_rows(
+    task: Task, robot: RobotSpec, candidates: Placement, order: np.ndarray, size: int
+) -> list[int]:
+    """The first ``size`` of the ordered candidates that touch nothing."""
+    clearance = Clearance(task, robot)
+    rows: list[int] = []
+    for i in order:
+        place = jax.tree.map(lambda x: x[i], candidates)  # noqa: B023
+        if _is_free(clearance, place):
+            rows.append(int(i))
+            if len(rows) == size:
+                break
+    return rows
+
+
+def _unwind(angles: np.ndarray, chains: list[kinematics.Chain], ok: np.ndarray) -> np.ndarray:
+    """Bring joints that turn freely to within pi of the mean direction of the reached rows.
+
+    Args:
+        angles: (N, n) [rad].
+        chains: of the arms, for the limits.
+        ok: which rows count (N,).
+    """
+    lower = np.concatenate([c.lower for c in chains])
+    upper = np.concatenate([c.upper for c in chains])
+    free = upper - lower > 2 * np.pi + 0.1
+    used = angles[ok] if ok.any() else angles
+    mean = np.arctan2(np.sin(used).mean(0), np.cos(used).mean(0))
+    near = mean + (angles - mean + np.pi) % (2 * np.pi) - np.pi
+    inside = free & (near >= lower) & (near <= upper)
+    return np.where(inside, near, angles).astype(np.float32)

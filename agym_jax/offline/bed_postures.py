@@ -1,0 +1,299 @@
+"""People who lie on the bed as gravity lets them: writes the banks that ``posture.py`` reads.
+
+    python -m agym_jax.offline.bed_postures build [BedBathing ArmManipulation] [--seed 0] [--each 128]
+    python -m agym_jax.offline.posture_report        # how they compare with Assistive Gym's
+
+As Assistive Gym does at every reset (bed_bathing.py, arm_manipulation.py; reference tasks.md
+sections 3 and 7), a limp person falls onto the bed for 2 s at -1 m/s^2, face up, with joint angles
+U(-0.1, 0.1) rad within the person's own limits; in ArmManipulation the right arm, then the only part
+that moves, is laid over the bed's edge and falls again. Here that is done once, offline, with C MuJoCo.
+
+A bank has six equal parts, in this order: Assistive Gym's man with full joint limits, the same man with
+limits scaled by U(0.5, 1), its woman with full and with scaled limits, and people of any size with full
+and with scaled limits. Every part with scaled limits spans 0.5 to 1 evenly, in ascending order.
+
+DEVIATION(settle): after AG's 2 s the body is frozen and the right arm goes on settling until it is
+still, and in ArmManipulation then once more under -9.81 m/s^2, at which that task runs. AG starts with
+whatever motion 2 s have left. In BedBathing falls whose arm slides off the bed are left out.
+Contacts are firmer than at run time, so a hanging arm sinks up to 4 mm deeper into the mattress there.
+DEVIATION(posture-bank): a reset draws a settled person of like size, with the same or slightly narrower
+limits. AG's sizes lie as settled; others begin up to 16 mm inside the bed, arms up to 12 mm above it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+
+import mujoco
+import numpy as np
+
+from agym_jax.data.assets import asset_path
+from agym_jax.errors import AgymError, UnknownNameError
+from agym_jax.human import body
+from agym_jax.human.population import People
+from agym_jax.human.model import build as build_person
+from agym_jax.human.posture import Postures, bank_of, link_positions, save_postures
+
+LINKS, ALL, ARM = tuple(body.LINK), tuple(body.JOINTS), body.RIGHT_ARM
+ARM_LINKS = ("right_girdle", "right_upper_arm", "right_forearm", "right_hand")
+FACE_UP = (0.5**0.5, -(0.5**0.5), 0.0, 0.0)  # wxyz of AG's Euler (-pi/2, 0, 0): head towards +y
+SPREAD = 0.1  # joint angles at the start, U(-0.1, 0.1) rad
+FALL, STEP = 2.0, 0.004  # AG: 100 steps of 0.02 s; finer steps make the same time stable [s]
+FIRST_GRAVITY = -1.0  # [m/s^2]
+FALL_SOLREF, FALL_SOLIMP = (0.03, 1.0), (0.8, 0.95, 0.005, 0.5, 2.0)  # of contacts: no bouncing
+REST_SOLREF, REST_SOLIMP = (0.016, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0)  # firm: sinks in by < 1 mm
+SELF_FRICTION = 0.5
+FIRM_LIMIT = (0.008, 1.0)  # solref of the arm's joint limits at rest: exceeded by < 0.1 deg
+STICTION = 20.0  # MuJoCo's impratio: soft friction would let a resting arm creep
+FALL_DAMPING, REST_DAMPING = 1.0, 0.05  # of the joints [N m s/rad] (AG: none)
+STILL, PATIENCE = 0.01, 60.0  # the arm is at rest below this speed [rad/s]; wait at most [s]
+DEEPEST, FLOATING = 0.002, 0.002  # worst penetration and gap that a row may have [m]
+STRAYED = 0.1  # a chest that has moved by more across the bed has fallen off [m]
+OVERHANG = -0.65  # a wrist beyond this x has slid off the bed, 15 cm past the edge [m]
+TRIES = 6  # falls per row, on average, before a bank is given up
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """How a task has the person lie.
+
+    Attributes:
+        start: of the chest before the fall, world [m].
+        arm: angles [rad] at which the right arm falls again; none if it stays where it is.
+        gravity: under which the arm comes to rest, one after the other [m/s^2].
+        friction: with the bed while the body falls, and while the arm comes to rest; in AG the bed's
+            5, then 0.3 in ArmManipulation, times the person's 0.5.
+    """
+
+    start: tuple[float, float, float]
+    arm: dict[str, float]
+    gravity: tuple[float, ...]
+    friction: tuple[float, float]
+
+
+SCENARIOS = {
+    "BedBathing": Scenario((-0.15, 0.2, 0.95), {}, (-1.0,), (2.5, 2.5)),
+    "ArmManipulation": Scenario(
+        (-0.25, 0.2, 0.95),
+        {"r_shoulder_y": np.deg2rad(60), "r_shoulder_x": np.deg2rad(-60), "r_elbow_x": 0.0},
+        (-1.0, -9.81),
+        (2.5, 0.15),
+    ),
+}
+
+
+def _limb(link: str) -> tuple[str, str]:
+    """Kind of limb ("arm", "leg" or "torso") and side of a link."""
+    side, _, part = link.partition("_")
+    kinds = {"upper_arm": "arm", "forearm": "arm", "hand": "arm"}
+    kinds |= {"thigh": "leg", "shin": "leg", "foot": "leg"}
+    return kinds.get(part, "torso"), side
+
+
+def may_touch(a: str, b: str) -> bool:
+    """AG's self-collision mask (reference humans.md section 3) for two links."""
+    (kind_a, side_a), (kind_b, side_b) = _limb(a), _limb(b)
+    if kind_a == "torso":
+        (a, kind_a, side_a), (b, kind_b, side_b) = (b, kind_b, side_b), (a, kind_a, side_a)
+    if kind_a == "torso" or (kind_a, side_a) == (kind_b, side_b):
+        return False
+    if kind_b == "torso":
+        return b not in ("waist", "hips") if kind_a == "leg" else b != f"{side_a}_girdle"
+    return True
+
+
+def lying_model(
+    person: Postures, free: tuple[str, ...], friction: float, falling: bool = False
+) -> mujoco.MjModel:
+    """One person on the bed.
+
+    Args:
+        person: one row; the joints that do not move have its angles.
+        free: joints that move.
+        friction: of the bed.
+        falling: the chest is free.
+    """
+    spec = mujoco.MjSpec()
+    spec.option.timestep = STEP
+    spec.option.gravity = (0.0, 0.0, FIRST_GRAVITY)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 1.0 if falling else STICTION
+    carrier = spec.worldbody.add_body(name="root", pos=person.root_pos, quat=person.root_quat)
+    if falling:
+        carrier.add_freejoint()
+    angles, d = dict(zip(ALL, person.angles, strict=True)), person.dims
+    rows = body.fields(d, angles, free, person.limit_scale, np.zeros(3), np.eye(4)[0], np)
+    spec.attach(
+        build_person(rows, free, d, LINKS, False), frame=carrier.add_frame(), prefix="person/"
+    )
+    bed = mujoco.MjSpec.from_file(str(asset_path("furniture/bed.xml")))
+    on_bed = [g.name for g in bed.geoms if g.name.endswith("_collision")]
+    spec.attach(bed, frame=spec.worldbody.add_frame(), prefix="bed/")
+    moving = LINKS if falling else ARM_LINKS if free else ()
+    pairs = [(x, f"bed/{g}", friction) for x in moving for g in on_bed]
+    pairs += [
+        (a, f"person/{b}", SELF_FRICTION)
+        for i, a in enumerate(LINKS)
+        for b in LINKS[i + 1 :]
+        if may_touch(a, b) and (a in moving or b in moving)
+    ]
+    for a, b, mu in pairs:
+        spec.add_pair(
+            geomname1=f"person/{a}", geomname2=b, condim=3, friction=[mu, mu, 0.005, 1e-4, 1e-4],
+            solref=FALL_SOLREF if falling else REST_SOLREF,
+            solimp=FALL_SOLIMP if falling else REST_SOLIMP,
+        )  # fmt: skip
+    model = spec.compile()
+    model.dof_damping[6 if falling else 0 :] = FALL_DAMPING if falling else REST_DAMPING
+    if not falling:
+        model.jnt_solref[:] = FIRM_LIMIT
+    return model
+
+
+def _qpos(model: mujoco.MjModel, joints: tuple[str, ...]) -> np.ndarray:
+    return np.array([model.joint(f"person/{n}").qposadr[0] for n in joints])
+
+
+def _clipped(angles: np.ndarray, joints: tuple[str, ...], limit_scale: float) -> np.ndarray:
+    return np.clip(angles, *body.joint_limits(joints, limit_scale, np).T)
+
+
+def fall(person: Postures, how: Scenario, rng: np.random.Generator) -> Postures:
+    """Drop a limp person onto the bed: the same one with the pose after the fall."""
+    angles = _clipped(rng.uniform(-SPREAD, SPREAD, len(ALL)), ALL, person.limit_scale)
+    person = replace(person, root_pos=np.array(how.start), root_quat=np.array(FACE_UP))
+    model = lying_model(person, ALL, how.friction[0], True)
+    data, where = mujoco.MjData(model), _qpos(model, ALL)
+    data.qpos[where] = angles
+    mujoco.mj_step(model, data, round(FALL / STEP))
+    quat = data.qpos[3:7] / np.linalg.norm(data.qpos[3:7])
+    angles = _clipped(data.qpos[where], ALL, person.limit_scale)
+    return replace(person, root_pos=data.qpos[:3].copy(), root_quat=quat, angles=angles)
+
+
+def rest_arm(person: Postures, how: Scenario) -> tuple[Postures, float]:
+    """Let one person's right arm come to rest while the body stays as it is.
+
+    Returns:
+        the person, and the arm's greatest joint speed at the end [rad/s].
+    """
+    angles = dict(zip(ALL, person.angles, strict=True)) | how.arm
+    model = lying_model(person, ARM, how.friction[1])
+    data, where = mujoco.MjData(model), _qpos(model, ARM)
+    data.qpos[where] = _clipped(np.array([angles[j] for j in ARM]), ARM, person.limit_scale)
+    for gravity in how.gravity:
+        model.opt.gravity[2] = gravity
+        for i in range(round(PATIENCE / STEP)):
+            mujoco.mj_step(model, data)
+            if (i + 1) * STEP >= FALL and i % 25 == 0 and np.abs(data.qvel).max() < STILL:
+                break
+    angles |= zip(ARM, _clipped(data.qpos[where], ARM, person.limit_scale), strict=True)
+    rested = replace(person, angles=np.array([angles[j] for j in ALL]))
+    return rested, float(np.abs(data.qvel).max())
+
+
+def clearances(person: Postures) -> dict[str, float]:
+    """Distance of every link of one person from the bed [m], negative inside it."""
+    model = lying_model(person, (), 1.0)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    names = [model.geom(i).name for i in range(model.ngeom)]
+    bed = [i for i, n in enumerate(names) if n.startswith("bed/") and n.endswith("_collision")]
+    return {
+        x: min(mujoco.mj_geomDistance(model, data, model.geom(f"person/{x}").id, g, 0.5, None) for g in bed)
+        for x in LINKS
+    }  # fmt: skip
+
+
+def settle(
+    name: str, who: tuple[float, float, float, float], rng: np.random.Generator
+) -> Postures | str:
+    """One row of a bank, or the words for why it was rejected.
+
+    Args:
+        name: of the task.
+        who: sex, stature, girth and limit_scale.
+        rng: of the angles at the start.
+    """
+    how = SCENARIOS[name]
+    person = fall(Postures(*who, np.zeros(3), np.zeros(4), np.zeros(len(ALL))), how, rng)
+    if np.abs(person.root_pos[:2] - how.start[:2]).max() > STRAYED:
+        return "fell off the bed"
+    person, speed = rest_arm(person, how)
+    if speed >= STILL:
+        return "not at rest"
+    if not how.arm and link_positions(person)["right_hand"][0] < OVERHANG:
+        return "arm slid off the bed"
+    gap = clearances(person)
+    if min(gap.values()) < -DEEPEST:
+        return "penetrates the bed"
+    floats = min(gap["chest"], gap["waist"], gap["hips"]) > FLOATING
+    return "floats" if floats else person
+
+
+def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Counter]:
+    """Settle people until a bank is full.
+
+    Args:
+        name: of the task.
+        seed: of sizes, limits and joint angles.
+        each: rows of each of the six parts.
+
+    Returns:
+        the bank, and how often which word came back; "kept" are the rows.
+
+    Raises:
+        AgymError: too few falls end well.
+    """
+    rng, people, counts = np.random.default_rng(seed), People(sizes="continuous"), Counter()
+    ranges = people.blend, people.stature, people.girth
+    rows: list[Postures] = []
+    while len(rows) < 6 * each:
+        part, i = divmod(len(rows), each)
+        sex, stature, girth = float(part // 2), 1.0, 1.0
+        if part >= 4:
+            sex, stature, girth = (rng.uniform(*x) for x in ranges)
+        limit_scale = 0.5 + 0.5 * (i + rng.uniform()) / each if part % 2 else 1.0
+        row = settle(name, (sex, stature, girth, limit_scale), rng)
+        counts["kept" if isinstance(row, Postures) else row] += 1
+        rows += [row] if isinstance(row, Postures) else []
+        print(f"\r{name}: {len(rows)}/{6 * each}", end="", flush=True)
+        if counts.total() > TRIES * 6 * each:
+            raise AgymError(f"{name}: too few people come to lie well on the bed: {dict(counts)}")
+    print()
+    return bank_of(rows), counts
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line: build banks."""
+    parser = argparse.ArgumentParser(prog="python -m agym_jax.offline.bed_postures", description=__doc__)
+    build = parser.add_subparsers(required=True).add_parser("build", help="build banks of postures")
+    build.add_argument("tasks", nargs="*", default=list(SCENARIOS), metavar="TASK")
+    build.add_argument("--seed", type=int, default=0)
+    build.add_argument("--each", type=int, default=128, help="rows of each of the six parts")
+    args = parser.parse_args(argv)
+    try:
+        for name in args.tasks:
+            if name not in SCENARIOS:
+                raise UnknownNameError("task on the bed", name, SCENARIOS)
+            bank, counts = build_bank(name, args.seed, args.each)
+            command = f"python -m agym_jax.offline.bed_postures build {name} --seed {args.seed} --each {args.each}"
+            provenance = {
+                "command": command, "seed": args.seed, "counts": dict(counts),
+                "versions": {p: version(p) for p in ("mujoco", "numpy")},
+            }  # fmt: skip
+            save_postures(bank, name, provenance)
+            print(f"{name}: {dict(counts)}")
+    except AgymError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,105 @@
+"""How far a robot, its tools and its mount are from person, furniture and itself: C MuJoCo, offline."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from agym_jax.human import pose as person_pose
+from agym_jax.sim.scene import compose
+from agym_jax.spec import RobotSpec, Task
+from agym_jax.state import Placement
+from agym_jax.sim.validate import COLLISION
+
+FAR = 0.1
+"""Distances beyond this are not resolved [m]."""
+
+
+class Clearance:
+    """Least distances over both of AG's people, with every collision geom of the scene."""
+
+    def __init__(self, task: Task, robot: RobotSpec):
+        moving = task.person.moving(active=False)
+        self.worlds = []
+        for sex in (0.0, 1.0):
+            angles = person_pose.start_angles(
+                person_pose.typical(task.person, sex), moving, 1.0, np
+            )
+            world = _World(compose(task, robot, sex=sex, solid=True))
+            world.bend([f"person/{j}" for j in moving], angles)
+            self.worlds.append(world)
+        self.joints = [f"robot/{j}" for arm in robot.arms_for(task) for j in arm.joints]
+
+    def outside(self, place: Placement) -> float:
+        """Distance of robot and tools from person and furniture, at most FAR [m]."""
+        nearest = FAR
+        for world in self.worlds:
+            world.pose(place, self.joints)
+            nearest = min(nearest, world.least(world.outside, stop=0.0))
+        return nearest
+
+    def inside(self, place: Placement) -> float:
+        """Distance of the moving arms and tools from each other and the rest of the robot [m]."""
+        world = self.worlds[0]
+        world.pose(place, self.joints)
+        return world.least(world.inside, stop=0.0)
+
+
+class _World:
+    """One compiled scene and the geom pairs that matter in it."""
+
+    def __init__(self, model: mujoco.MjModel):
+        self.model, self.data = model, mujoco.MjData(model)
+        names = [model.geom(i).name for i in range(model.ngeom)]
+        of = lambda *prefix: [  # noqa: E731
+            i for i, n in enumerate(names) if n.startswith(prefix) and COLLISION in n
+        ]
+        robot = of("robot/", "tool")
+        rest = [i for i, n in enumerate(names) if n.startswith("person/")] + of("seat/")
+        self.root = int(model.body_rootid[model.geom_bodyid[robot[0]]])
+        self.outside = np.array([(a, b) for a in robot for b in rest])
+        self.inside = self._inside(robot)
+
+    def _inside(self, geoms: list[int]) -> np.ndarray:
+        """Pairs of the robot's own geoms at least three moving joints apart."""
+        m = self.model
+        path = {g: self._moving_above(m.geom_bodyid[g]) for g in geoms}
+        pairs = []
+        for i, a in enumerate(geoms):
+            for b in geoms[i + 1 :]:
+                apart = len(path[a] ^ path[b])
+                if apart >= 3:
+                    pairs.append((a, b))
+        return np.array(pairs).reshape(-1, 2)
+
+    def _moving_above(self, body: int) -> set[int]:
+        """Joints between a body and the world."""
+        m, joints = self.model, set()
+        while body:
+            first = m.body_jntadr[body]
+            joints |= set(range(first, first + m.body_jntnum[body]))
+            body = int(m.body_parentid[body])
+        return joints
+
+    def pose(self, place: Placement, joints: list[str]) -> None:
+        self.model.body_pos[self.root] = place.base_pos
+        self.model.body_quat[self.root] = place.base_quat
+        self.bend(joints, np.asarray(place.arm_angles))
+        mujoco.mj_kinematics(self.model, self.data)
+
+    def bend(self, joints: list[str], angles: np.ndarray) -> None:
+        for name, angle in zip(joints, angles, strict=True):
+            self.data.qpos[self.model.joint(name).qposadr[0]] = angle
+
+    def least(self, pairs: np.ndarray, stop: float) -> float:
+        """Least distance over geom pairs, at most FAR; not resolved below ``stop`` [m]."""
+        m, d = self.model, self.data
+        a, b = pairs.T
+        apart = np.linalg.norm(d.geom_xpos[a] - d.geom_xpos[b], axis=1)
+        near = apart - m.geom_rbound[a] - m.geom_rbound[b] < FAR
+        nearest = FAR
+        for i, j in pairs[near]:
+            nearest = min(nearest, mujoco.mj_geomDistance(m, d, int(i), int(j), FAR, None))
+            if nearest < stop:
+                break
+        return nearest

@@ -1,0 +1,278 @@
+"""Food and water as they lie in spoon and cup: banks of arrangements, so that a reset is a look-up.
+
+    python -m agym_jax.offline.particle_fill [spoon cup] [--seed 0] [--rows 64]
+
+Assistive Gym drops a grid of spheres into the tool at every reset and lets it settle for 1 s (food) or 0.4 s
+(water): feeding.py, drinking.py reset. Here that is done once, offline, for many directions in which
+gravity may point in the vessel's frame: tilts up to 20 degrees for the spoon and 10 for the cup, spread
+evenly over the disc, the first one upright. Each row is the lowest of several grids that were dropped
+with small random shifts, almost without friction, turned with the vessel, and have then come to rest.
+
+DEVIATION(settled-bank): an episode begins with particles at rest, in an arrangement of the nearest tilt; AG
+begins with whatever motion its settling has left.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import zipfile
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from agym_jax.data.assets import asset_root
+from agym_jax.errors import AgymError, UnknownNameError
+from agym_jax.matter.particles.solver import FOOD, WATER, Obstacles, Particles, ParticleSpec, advance
+from agym_jax.matter.shapes import no_boxes, no_capsules, rotation
+
+DOWN = (0.0, 0.0, -1.0)
+SLICK = 0.02  # friction while they fall: they find low places
+FALL_TIME, TURN_TIME, REST_TIME = 2.0, 1.0, 2.0  # [s]
+JITTER = 5e-4  # of the grid [m]
+STILL = 0.01  # mean speed at which particles are at rest [m/s]
+
+
+class MissingSettledError(AgymError, FileNotFoundError):
+    """A vessel without its bank of settled particles, or with a damaged one."""
+
+
+@dataclass(frozen=True)
+class Filling:
+    """How a bank is made.
+
+    Attributes:
+        spec: of the particles.
+        dt: physics step [s].
+        grid: particles along x, y, z, 10 mm apart.
+        height: of its lowest layer above the vessel's origin [m].
+        tilt: the largest [rad].
+        tries: grids dropped for each row.
+        finer: substeps while they fall and turn, times the spec's: a tall heap falls hard.
+    """
+
+    spec: ParticleSpec
+    dt: float
+    grid: tuple[int, int, int]
+    height: float
+    tilt: float
+    tries: int
+    finer: int
+
+
+FILLINGS = {
+    "spoon": Filling(FOOD, 0.01, (2, 2, 2), 0.0147, np.deg2rad(20.0), 16, 1),
+    "cup": Filling(WATER, 0.01, (4, 4, 4), 0.075, np.deg2rad(10.0), 2, 2),
+}
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Settled:
+    """A bank of K arrangements of n particles, in the vessel's frame."""
+
+    gravity_dir: Array | np.ndarray  # unit vectors in which gravity points (K, 3)
+    pos: Array | np.ndarray  # centres [m]                                  (K, n, 3)
+
+
+def settled_path(name: str) -> Path:
+    """Where a vessel's bank is kept."""
+    return asset_root() / "matter" / f"{name}.npz"
+
+
+@cache
+def load_settled(name: str) -> Settled:
+    """The bank of ``"spoon"`` or ``"cup"``, as NumPy arrays.
+
+    Raises:
+        UnknownNameError: there is no such vessel.
+        MissingSettledError: its bank is missing or damaged; the message has the command that makes it.
+    """
+    if name not in FILLINGS:
+        raise UnknownNameError("vessel", name, FILLINGS)
+    path, remedy = settled_path(name), f"Build it with: python -m agym_jax.offline.particle_fill {name}"
+    if not path.is_file():
+        raise MissingSettledError(f"There is no bank of settled particles {path}. {remedy}")
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as z:
+            bank = Settled(**{f.name: np.asarray(z[f.name], np.float32) for f in fields(Settled)})
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise MissingSettledError(f"{path} cannot be read ({error}). {remedy}") from error
+    rows, count = len(bank.gravity_dir), FILLINGS[name].spec.count
+    if bank.gravity_dir.shape != (rows, 3) or bank.pos.shape != (rows, count, 3) or not rows:
+        raise MissingSettledError(
+            f"{path} is damaged: directions {bank.gravity_dir.shape}, positions {bank.pos.shape} of "
+            f"{count} particles. {remedy}"
+        )
+    return bank
+
+
+def fill(bank: Settled, vessel_pos_w: Array, vessel_quat_w: Array) -> Particles:
+    """Particles at rest in a vessel, as they lie at the nearest tilt of the bank.
+
+    Args:
+        bank: of the vessel.
+        vessel_pos_w: of the vessel's frame [m] (3,).
+        vessel_quat_w: wxyz (4,).
+    """
+    rot_w = rotation(vessel_quat_w)
+    nearest = jnp.argmax(jnp.asarray(bank.gravity_dir) @ (jnp.array(DOWN) @ rot_w))
+    pos_w = vessel_pos_w + jnp.asarray(bank.pos)[nearest] @ rot_w.T
+    return Particles(pos_w, jnp.zeros_like(pos_w), jnp.ones(len(pos_w), bool))
+
+
+def directions(rows: int, tilt: float) -> np.ndarray:
+    """Unit vectors (K, 3) around straight down, evenly over a disc of tilts; the first is straight down.
+
+    Args:
+        rows: K.
+        tilt: the largest [rad].
+    """
+    i = np.arange(rows)
+    angle = tilt * np.sqrt(i / max(rows - 1, 1))
+    turn = i * np.pi * (3.0 - 5.0**0.5)  # the golden angle
+    side = np.sin(angle)
+    return np.stack([side * np.cos(turn), side * np.sin(turn), -np.cos(angle)], -1)
+
+
+def tilted(gravity_dir: np.ndarray) -> np.ndarray:
+    """Orientation wxyz (..., 4) of a vessel in whose frame straight down is ``gravity_dir`` (..., 3)."""
+    down = np.broadcast_to(DOWN, gravity_dir.shape)
+    quat = np.concatenate(
+        [1.0 + np.sum(gravity_dir * down, -1, keepdims=True), np.cross(gravity_dir, down)], -1
+    )
+    return quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+
+
+def turning(quat: Array, n_turn: int, n_rest: int) -> Obstacles:
+    """A vessel at the world's origin, nothing near, that turns from upright and then rests.
+
+    Args:
+        quat: its orientation at the end, wxyz (4,), less than half a turn away.
+        n_turn: physics steps in which it turns.
+        n_rest: physics steps in which it rests.
+    """
+    n_moments = n_turn + n_rest + 1
+    share = jnp.minimum(jnp.arange(n_moments) / max(n_turn, 1), 1.0)[:, None]
+    upright = jnp.array([1.0, 0.0, 0.0, 0.0])
+    ends = jnp.zeros((n_moments, 0, 3))
+    return Obstacles(
+        vessel_pos_w=jnp.zeros((n_moments, 3)),
+        vessel_quat_w=upright + share * (quat - upright),
+        person=replace(no_capsules(), a_w=ends, b_w=ends),
+        furniture=no_boxes(),
+        floor=jnp.float32(-10.0),
+    )
+
+
+def held(quat: Array, n_rest: int) -> Obstacles:
+    """The same vessel, which has turned (4,) and rests for some physics steps."""
+    motion = turning(quat, 0, n_rest)
+    return replace(motion, vessel_quat_w=jnp.broadcast_to(quat, motion.vessel_quat_w.shape))
+
+
+def build(name: str, seed: int = 0, rows: int = 64) -> tuple[Settled, dict[str, float]]:
+    """Let particles settle at K tilts.
+
+    Args:
+        name: of the vessel.
+        seed: of the shifts of the grids.
+        rows: K.
+
+    Returns:
+        the bank, and how well its rows rest: speeds, overlaps, heights.
+
+    Raises:
+        AgymError: at some tilt no grid has come to rest inside.
+    """
+    how = FILLINGS[name]
+    spec, towards = how.spec, directions(rows, how.tilt)
+    cell = np.stack(np.meshgrid(*map(np.arange, how.grid), indexing="ij"), -1).reshape(-1, 3) * 0.01
+    cell = cell - [cell[:, 0].mean(), cell[:, 1].mean(), -how.height]
+    shift = np.random.default_rng(seed).normal(0.0, JITTER, (rows, how.tries, spec.count, 3))
+    quat_w = np.repeat(tilted(towards)[:, None], how.tries, axis=1)
+
+    steps = [round(time / how.dt) for time in (FALL_TIME, TURN_TIME, REST_TIME)]
+
+    @jax.jit
+    @jax.vmap
+    @jax.vmap
+    def settle(local: Array, quat: Array) -> tuple[Array, Array]:
+        particles = Particles(local, jnp.zeros_like(local), jnp.ones(spec.count, bool))
+        fine, (fall, turn, rest) = replace(spec, substeps=how.finer * spec.substeps), steps
+        upright = jnp.array([1.0, 0.0, 0.0, 0.0])
+        fall_on = turning(upright, 0, fall), turning(quat, turn, 0), held(quat, rest)
+        for some, motion in zip((replace(fine, friction=SLICK), fine, spec), fall_on, strict=True):
+            particles, _ = advance(some, particles, motion, how.dt)
+        return particles.pos_w @ rotation(quat), particles.vel_w
+
+    out = settle(jnp.asarray(cell + shift, jnp.float32), jnp.asarray(quat_w, jnp.float32))
+    pos, vel = (np.asarray(x) for x in out)
+    speed = np.linalg.norm(vel, axis=-1).mean(-1)
+    height = -np.einsum("ktni,ki->kt", pos, towards) / spec.count
+    well = _lies_in(spec, pos) & (speed < STILL)
+    best = np.argmin(np.where(well, height, np.inf), axis=1)
+    each = np.arange(rows)
+    if not well[each, best].all():
+        raise AgymError(f"{name}: at {np.sum(~well.any(1))} of {rows} tilts nothing came to rest.")
+    pos = pos[each, best]
+    gaps = np.linalg.norm(pos[:, :, None] - pos[:, None], axis=-1) + np.eye(spec.count)
+    facts = {
+        "grids_at_rest": float(well.mean()),
+        "mean_speed": float(speed[each, best].max()),
+        "mean_height": float(pos[..., 2].mean()),
+        "highest": float(pos[..., 2].max()),
+        "deepest_overlap": float(2 * spec.radius - gaps.min()),
+    }
+    return Settled(towards.astype(np.float32), pos.astype(np.float32)), facts
+
+
+def _lies_in(spec: ParticleSpec, pos: np.ndarray) -> np.ndarray:
+    """Whether all n particles (..., n, 3), in the vessel's frame, lie within its outline (...)."""
+    x, y, z = (pos[..., i] for i in range(3))
+    within = np.asarray(spec.vessel.polar(x, y)[0]) < spec.vessel.brim[0]
+    return np.all(within & (z > 0) & (z < spec.vessel.depth + 2 * spec.radius), axis=-1)
+
+
+def save_settled(bank: Settled, name: str, provenance: dict) -> None:
+    """Write the bank of a vessel without pickle, with where it came from."""
+    path: Path = settled_path(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {f.name: getattr(bank, f.name) for f in fields(Settled)}
+    np.savez_compressed(path, **arrays, provenance=np.array(json.dumps(provenance)))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line: build banks."""
+    parser = argparse.ArgumentParser(prog="python -m agym_jax.offline.particle_fill", description=__doc__)
+    parser.add_argument("vessels", nargs="*", default=list(FILLINGS), metavar="VESSEL")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rows", type=int, default=64)
+    args = parser.parse_args(argv)
+    try:
+        for name in args.vessels:
+            if name not in FILLINGS:
+                raise UnknownNameError("vessel", name, FILLINGS)
+            bank, facts = build(name, args.seed, args.rows)
+            command = (
+                f"python -m agym_jax.offline.particle_fill {name} --seed {args.seed} --rows {args.rows}"
+            )
+            versions = {p: version(p) for p in ("jax", "numpy")}
+            provenance = {"command": command, "seed": args.seed, "facts": facts}
+            save_settled(bank, name, provenance | {"versions": versions})
+            print(f"{name}: {facts}")
+    except AgymError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,1 @@
+"""Policies: load a shipped or trained one and run it."""

@@ -1,0 +1,121 @@
+"""Brax's PPO networks, described by a small hashable record, and the three ways to use them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from brax.training.acme import running_statistics
+from brax.training.agents.ppo import networks as ppo_networks
+from flax import linen
+
+from agym_jax.jax_settings import full_precision
+
+OBSERVATION_CLIP = 10.0  # normalised observations are clipped here, as in Assistive Gym
+HIDDEN_GAIN = 2.0**0.5  # of the orthogonal initial weights, as in Assistive Gym
+STD_MIN = 1e-4  # smallest deviation an observation is divided by, as in Assistive Gym
+
+ACTIVATIONS = {
+    "tanh": linen.tanh,
+    "swish": linen.swish,
+    "elu": linen.elu,
+    "relu": linen.relu,
+}
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """What must agree for weights to fit: sizes, layers, activation and distribution."""
+
+    observation_size: int
+    action_size: int
+    policy_hidden: tuple[int, ...]
+    value_hidden: tuple[int, ...]
+    activation: str
+    distribution: str
+    init_noise_std: float = 1.0
+    policy_head_gain: float = 1.0
+
+
+@cache
+def make_networks(arch: Architecture, value_size: int | None = None) -> ppo_networks.PPONetworks:
+    """Policy network, value network and action distribution of an architecture.
+
+    Args:
+        arch: of the networks.
+        value_size: size of what the value network reads, if not ``arch.observation_size``.
+    """
+    if value_size is not None:
+        networks: Any = make_networks(arch)
+        wider = make_networks(replace(arch, observation_size=value_size))
+        return networks.replace(value_network=wider.value_network)
+    # Brax makes a constant here, which must not belong to whichever function is being traced.
+    with jax.ensure_compile_time_eval():
+        return ppo_networks.make_ppo_networks(
+            arch.observation_size,
+            arch.action_size,
+            preprocess_observations_fn=partial(
+                running_statistics.normalize, max_abs_value=OBSERVATION_CLIP
+            ),
+            policy_hidden_layer_sizes=arch.policy_hidden,
+            value_hidden_layer_sizes=arch.value_hidden,
+            activation=ACTIVATIONS[arch.activation],
+            distribution_type=arch.distribution,  # pyrefly: ignore
+            noise_std_type="log",
+            init_noise_std=arch.init_noise_std,
+            policy_network_kernel_init_fn=jax.nn.initializers.orthogonal,
+            policy_network_kernel_init_kwargs={"scale": HIDDEN_GAIN},
+            value_network_kernel_init_fn=jax.nn.initializers.orthogonal,
+            value_network_kernel_init_kwargs={"scale": HIDDEN_GAIN},
+            mean_kernel_init_fn=jax.nn.initializers.orthogonal,
+            mean_kernel_init_kwargs={"scale": arch.policy_head_gain},
+        )
+
+
+def init_policy(networks: ppo_networks.PPONetworks, arch: Architecture, key: jax.Array) -> Any:
+    """Initial weights of the policy network, with a head of gain ``policy_head_gain``."""
+    policy = networks.policy_network.init(key)
+    if arch.distribution == "tanh_normal":  # Brax gives its head the gain of the hidden layers
+        head = f"hidden_{len(arch.policy_hidden)}"
+        layers = policy["params"]
+        kernel = layers[head]["kernel"] * (arch.policy_head_gain / HIDDEN_GAIN)
+        policy = {**policy, "params": {**layers, head: {**layers[head], "kernel": kernel}}}
+    return policy
+
+
+@full_precision
+def sample_action(
+    networks: ppo_networks.PPONetworks, normalizer: Any, policy: Any, obs: jax.Array, key: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Draw actions.
+
+    Args:
+        networks: from ``make_networks``.
+        normalizer: running statistics of the observation (``mean`` and ``std``).
+        policy: parameters of the policy network.
+        obs: (..., observation_size).
+        key: random key.
+
+    Returns:
+        The action in [-1, 1] (..., action_size), the raw sample it was made of (same shape) and
+        the log-probability of the raw sample (...).
+    """
+    distribution = networks.parametric_action_distribution
+    logits = networks.policy_network.apply(normalizer, policy, obs)
+    raw = distribution.sample_no_postprocessing(logits, key)
+    action = jnp.clip(distribution.postprocess(raw), -1.0, 1.0)
+    return action, raw, distribution.log_prob(logits, raw)
+
+
+@full_precision
+def mode_action(
+    networks: ppo_networks.PPONetworks, normalizer: Any, policy: Any, obs: jax.Array
+) -> jax.Array:
+    """The deterministic action in [-1, 1] (..., action_size)."""
+    logits = networks.policy_network.apply(normalizer, policy, obs)
+    if isinstance(logits, tuple):  # "normal": (mean, deviation)
+        return jnp.clip(logits[0], -1.0, 1.0)
+    return networks.parametric_action_distribution.mode(logits)

@@ -1,0 +1,1 @@
+"""Pictures and films of a scene, with OpenGL or without."""

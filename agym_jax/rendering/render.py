@@ -1,0 +1,320 @@
+"""Pictures of a scene, with OpenGL where there is one and without it where not.
+
+``Renderer`` opens its own OpenGL context (EGL, then OSMesa, then GLFW) instead of leaving that
+to ``import mujoco``, which reads ``MUJOCO_GL`` once and too early for anyone to change it.
+Where none opens, it says which system package is missing and casts rays instead.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import importlib
+import os
+import platform
+import sys
+import warnings
+import weakref
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import mujoco
+import numpy as np
+
+from agym_jax.rendering import shading
+from agym_jax.errors import AgymError, UnknownNameError, did_you_mean
+from agym_jax.rendering.raycast import Marker
+
+__all__ = [
+    "Marker",
+    "RenderBackendError",
+    "RenderFallbackWarning",
+    "Renderer",
+    "UnknownCameraError",
+]
+
+BACKENDS = ("auto", "gl", "raycast")
+OFF = ("disable", "disabled", "off", "false", "0")  # values of MUJOCO_GL that forbid OpenGL
+INSTALL_GL = (
+    "on Debian or Ubuntu: apt-get install libegl1 libopengl0 libgl1-mesa-dri "
+    "(or libosmesa6 where EGL cannot be had)"
+)
+
+
+class UnknownCameraError(UnknownNameError):
+    """A camera that the model does not have."""
+
+
+class RenderBackendError(AgymError, RuntimeError):
+    """A way to draw that does not exist or cannot run here."""
+
+
+class RenderFallbackWarning(UserWarning):
+    """OpenGL could not be opened, so the ray caster draws."""
+
+
+class _Pictures(Protocol):
+    def draw(
+        self, data: mujoco.MjData, view: mujoco.MjvScene, markers: Sequence[Marker]
+    ) -> np.ndarray: ...
+
+    def close(self) -> None: ...
+
+
+class _Process:
+    """What is true of the whole process, not of one renderer."""
+
+    gl_failed: str | None = None  # MuJoCo aborts the process when it loads OpenGL a second time
+    warned = False
+
+
+def _gl_libraries() -> tuple[str, ...]:
+    """Names under ``mujoco`` of the context makers to try, best first."""
+    asked = os.environ.get("MUJOCO_GL", "").lower().strip()
+    if asked in OFF:
+        return ()
+    if asked in ("egl", "osmesa", "glfw", "cgl"):
+        return (asked,)
+    system = platform.system()
+    if system == "Darwin":
+        return ("cgl", "glfw")
+    if system != "Linux":
+        return ("glfw",)
+    on_screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return ("egl", "osmesa", "glfw") if on_screen else ("egl", "osmesa")
+
+
+def _probe_egl() -> None:
+    """Raise where EGL has no device, without loading it for all to see.
+
+    Once PyOpenGL has loaded EGL globally, MuJoCo asks EGL for its functions, and OSMesa is lost.
+    """
+    egl = ctypes.CDLL("libEGL.so.1")
+    egl.eglGetProcAddress.restype = ctypes.c_void_p
+    address = egl.eglGetProcAddress(b"eglQueryDevicesEXT")
+    count = ctypes.c_int(0)
+    if address:
+        ask = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+        ask(address)(0, None, ctypes.byref(count))
+    if not count.value:
+        raise RuntimeError("it found no device and no software driver")
+
+
+def _open_library(name: str, width: int, height: int) -> Any:
+    """A current OpenGL context of one library, or an exception and no trace of the attempt.
+
+    ``mujoco.egl`` and ``mujoco.osmesa`` each tell PyOpenGL which library to use when it is first
+    imported, so a failed attempt must be forgotten before the next one can succeed.
+    """
+    before = set(sys.modules)
+    platform_before = os.environ.get("PYOPENGL_PLATFORM")
+
+    def forget() -> None:
+        for module in set(sys.modules) - before:
+            if module.split(".")[0] == "OpenGL" or module.startswith(f"mujoco.{name}"):
+                del sys.modules[module]
+        if platform_before is None:
+            os.environ.pop("PYOPENGL_PLATFORM", None)
+
+    with contextlib.ExitStack() as on_failure:
+        on_failure.callback(forget)
+        if name == "egl":
+            _probe_egl()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
+            if not getattr(context, "_context", True):
+                raise RuntimeError("it gave no context")
+            context.make_current()
+        on_failure.pop_all()  # it works: nothing to forget
+    return context
+
+
+def _open_context(width: int, height: int) -> tuple[Any, str]:
+    """The first OpenGL context that opens, and its library's name.
+
+    Raises:
+        RenderBackendError: none opened; says why for each.
+    """
+    if _Process.gl_failed:
+        raise RenderBackendError(_Process.gl_failed)
+    reasons = []
+    for name in _gl_libraries():
+        try:
+            return _open_library(name, width, height), name
+        except Exception as error:  # each library fails in its own way
+            missing = isinstance(error, (AttributeError, ctypes.ArgumentError))  # PyOpenGL's way
+            said = "a library it needs is missing" if missing else str(error) or repr(error)
+            reasons.append(f"{name}: {said.strip().splitlines()[0][:90]}")
+    raise RenderBackendError("; ".join(reasons) or "MUJOCO_GL forbids it")
+
+
+class _GLPictures:
+    """OpenGL through MuJoCo's classic renderer."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int):
+        self._gl, self.library = _open_context(width, height)
+        try:
+            self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        except Exception as error:
+            _Process.gl_failed = f"{self.library}: {error}"
+            self._gl.free()
+            raise RenderBackendError(_Process.gl_failed) from error
+        mujoco.mjr_resizeOffscreen(width, height, self._context)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._rect = mujoco.MjrRect(0, 0, width, height)
+
+    def draw(
+        self, data: mujoco.MjData, view: mujoco.MjvScene, markers: Sequence[Marker]
+    ) -> np.ndarray:
+        for marker in markers:
+            mujoco.mjv_initGeom(
+                view.geoms[view.ngeom],
+                mujoco.mjtGeom.mjGEOM_SPHERE,
+                np.full(3, marker.radius, dtype=float),
+                np.asarray(marker.pos, dtype=float),
+                np.eye(3).reshape(-1),
+                np.asarray(marker.rgba, dtype=np.float32),
+            )
+            view.ngeom += 1
+        self._gl.make_current()
+        mujoco.mjr_render(self._rect, view, self._context)
+        out = np.empty((self._rect.height, self._rect.width, 3), np.uint8)
+        mujoco.mjr_readPixels(out, None, self._rect, self._context)
+        return out[::-1].copy()
+
+    def close(self) -> None:
+        with contextlib.suppress(Exception):  # at exit the library may be gone already
+            self._gl.make_current()
+            self._context.free()
+            self._gl.free()
+        self._gl._context = None  # else MuJoCo tries again when the interpreter has gone half
+
+
+class _RaycastPictures:
+    """``agym_jax.rendering.shading``."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int):
+        self._model, self._size = model, (width, height)
+
+    def draw(
+        self, data: mujoco.MjData, view: mujoco.MjvScene, markers: Sequence[Marker]
+    ) -> np.ndarray:
+        stage = shading.set_stage(self._model, data, view, markers)
+        return shading.draw(stage, *self._size)
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+
+def _pick(model: mujoco.MjModel, width: int, height: int, asked: str) -> tuple[str, _Pictures]:
+    """The backend's name and the backend; warns once a process when "auto" cannot have OpenGL."""
+    asked = os.environ.get("AGYM_JAX_RENDER", "").lower().strip() or asked
+    if asked not in BACKENDS:
+        near = did_you_mean(asked, BACKENDS)
+        raise RenderBackendError(f"Unknown backend {asked!r} (argument or AGYM_JAX_RENDER). {near}")
+    if asked != "raycast":
+        try:
+            return "gl", _GLPictures(model, width, height)
+        except RenderBackendError as error:
+            why = f"OpenGL could not be opened ({error})"
+            if asked == "gl":
+                raise RenderBackendError(
+                    f"{why}; {INSTALL_GL}. Or use backend='raycast', which needs no library."
+                ) from error
+        if not _Process.warned:
+            _Process.warned = True
+            warnings.warn(
+                f"{why}, so the built-in ray caster draws: the same scene, but slower and without "
+                f"reflections, textured objects and smooth meshes. For those, {INSTALL_GL}. "
+                "AGYM_JAX_RENDER=raycast silences this.",
+                RenderFallbackWarning,
+                stacklevel=3,
+            )
+    return "raycast", _RaycastPictures(model, width, height)
+
+
+class Renderer:
+    """Draws states of one model from one camera; a context manager.
+
+    Visual geoms (groups 0 to 2) are drawn; collision geoms (group 3 and up) and sites are not.
+
+    Args:
+        model: an ordinary MjModel; sizes and colours may be written between pictures.
+        width: picture width in pixels.
+        height: picture height in pixels.
+        camera: a camera's name or number; -1 is MuJoCo's free camera, which sees everything.
+        backend: "gl", "raycast", or "auto" for OpenGL if it opens and rays if not. The
+            environment variable AGYM_JAX_RENDER overrides this.
+
+    Raises:
+        UnknownCameraError: the model has no such camera.
+        RenderBackendError: no such backend, or "gl" was asked for and cannot be had.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        width: int = 480,
+        height: int = 360,
+        camera: str | int = "front",
+        backend: str = "auto",
+    ):
+        self._model = model
+        self._camera = _find_camera(model, camera)
+        self._option = mujoco.MjvOption()
+        self._option.sitegroup[:] = 0
+        self._view: mujoco.MjvScene | None = None
+        self._room = 0
+        self.backend, self._pictures = _pick(model, width, height, backend)
+        self._free = weakref.finalize(self, self._pictures.close)
+
+    def render(self, data: mujoco.MjData, markers: Sequence[Marker] = ()) -> np.ndarray:
+        """One picture.
+
+        Args:
+            data: a state with current kinematics (after ``mj_forward`` or ``mj_kinematics`` and
+                ``mj_camlight``).
+            markers: extra spheres, drawn this once.
+
+        Returns:
+            uint8, (height, width, 3).
+        """
+        if not self._free.alive:
+            raise RenderBackendError("This Renderer was closed; make a new one.")
+        if self._view is None or len(markers) > self._room:
+            self._room = max(64, 2 * len(markers))
+            self._view = mujoco.MjvScene(self._model, self._model.ngeom + 500 + self._room)
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(
+            self._model, data, self._option, None, self._camera, everything, self._view
+        )
+        return self._pictures.draw(data, self._view, markers)
+
+    def close(self) -> None:
+        """Free the OpenGL context; twice is fine."""
+        self._free()
+
+    def __enter__(self) -> Renderer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _find_camera(model: mujoco.MjModel, camera: str | int) -> mujoco.MjvCamera:
+    """MuJoCo's camera of that name or number."""
+    names = [model.camera(i).name for i in range(model.ncam)]
+    if isinstance(camera, str):
+        number = names.index(camera) if camera in names else model.ncam
+    else:
+        number = camera
+    out = mujoco.MjvCamera()
+    if not -1 <= number < model.ncam:
+        advice = "-1 is a free camera that sees everything."
+        raise UnknownCameraError("camera", str(camera), [n for n in names if n], advice)
+    if number == -1:
+        mujoco.mjv_defaultFreeCamera(model, out)
+    else:
+        out.type, out.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, number
+    return out

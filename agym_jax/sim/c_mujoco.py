@@ -1,0 +1,217 @@
+"""Physics on C MuJoCo: one world on the CPU, whose first step comes within seconds.
+
+MJX takes half a minute to trace and compile; C MuJoCo takes nothing, and one world runs faster on it.
+It gets the same model, the same people written into it and the same draws, and what is around
+the physics is the same code, compiled in small pieces. Trajectories agree with those of MJX as far
+as float64 agrees with float32; MJX keeps the 8 deepest contacts of a world, C MuJoCo keeps all.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jax import Array
+
+from agym_jax.sim.control import Driver, Orders
+from agym_jax.sim.episode import model_fields
+from agym_jax.human.muscles import Muscles
+from agym_jax.sim.scene import Scene
+from agym_jax.sense import Motion, Touch, at_rest, moment, no_touch, read_touch
+from agym_jax.state import Episode
+
+Layout = tuple[tuple[str, int, int, tuple[int, ...]], ...]
+"""Name, start, stop and shape of each field in ``NativeData.numbers``."""
+MOTION = ("qpos", "qvel", "ctrl", "qacc_warmstart", "qfrc_bias")
+"""Fields that decide what happens next."""
+POSES = ("xpos", "xmat", "xquat", "xanchor", "xaxis", "site_xpos", "geom_xpos", "geom_xmat")
+"""Fields that ``sense`` reads besides."""
+
+
+def _field(name: str) -> Any:
+    """A property: the part of ``numbers`` that has this name."""
+
+    def view(data: NativeData) -> Any:
+        start, stop, shape = next(x[1:] for x in data.layout if x[0] == name)
+        return data.numbers[start:stop].reshape(shape)
+
+    return property(view, doc=f"``{name}`` of ``MjData``.")
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class NativeData:
+    """One world of C MuJoCo: what matters of ``MjData``, under the same names.
+
+    It lies in one array, because each array that enters a compiled function costs some microseconds.
+    """
+
+    numbers: Any  # float64 (n,)
+    layout: Layout = dataclasses.field(metadata={"static": True})
+
+    qpos = _field("qpos")  # [rad]                                            (nq,)
+    qvel = _field("qvel")  # [rad/s]                                          (nv,)
+    ctrl = _field("ctrl")  # targets of the robot's joints [rad]              (nu,)
+    qacc_warmstart = _field("qacc_warmstart")  # where the solver begins      (nv,)
+    qfrc_bias = _field("qfrc_bias")  # gravity and inertial torque [N m]      (nv,)
+    xpos = _field("xpos")  # of bodies, world [m]                             (nbody, 3)
+    xmat = _field("xmat")  #                                                  (nbody, 9)
+    xquat = _field("xquat")  # wxyz                                           (nbody, 4)
+    xanchor = _field("xanchor")  # of joints, world [m]                       (njnt, 3)
+    xaxis = _field("xaxis")  #                                                (njnt, 3)
+    site_xpos = _field("site_xpos")  # world [m]                              (nsite, 3)
+    geom_xpos = _field("geom_xpos")  # world [m]                              (ngeom, 3)
+    geom_xmat = _field("geom_xmat")  #                                        (ngeom, 9)
+
+    @classmethod
+    def of(cls, d: mujoco.MjData, layout: Layout) -> NativeData:
+        """A copy of what C MuJoCo has now."""
+        return cls(np.concatenate([getattr(d, name).ravel() for name, *_ in layout]), layout)
+
+    def replace(self, **changes: Any) -> NativeData:
+        """A copy with some fields changed."""
+        copy = NativeData(np.array(self.numbers), self.layout)
+        for name, value in changes.items():
+            getattr(copy, name)[:] = value
+        return copy
+
+
+def layout_of(d: mujoco.MjData) -> Layout:
+    """Where the fields of one world lie in ``NativeData.numbers``."""
+    layout, start = [], 0
+    for name in (*MOTION, *POSES):
+        field = getattr(d, name)
+        layout.append((name, start, start + field.size, field.shape))
+        start += field.size
+    return tuple(layout)
+
+
+class NativePhysics:
+    """See ``physics.Physics``. Its methods are functions of their arguments, though not traceable ones.
+
+    Args:
+        scene: what is in the world.
+        driver: of its joints.
+        frame_skip: physics steps of a control step.
+    """
+
+    traceable = False
+
+    def __init__(self, scene: Scene, driver: Driver, frame_skip: int):
+        self.scene, self.driver, self.frame_skip = scene, driver, frame_skip
+        self.model = _own_model(scene)
+        self._data = mujoco.MjData(self.model)
+        self._layout = layout_of(self._data)
+        self._data.warning.number[:] = 1  # MuJoCo logs a first warning into the current folder
+        self._lock = threading.Lock()  # of model and data, which every call overwrites
+        self._written: list[Any] = []  # leaves of what the model holds of an episode
+
+        def person_of(episode: Episode) -> tuple[dict[str, Array], Muscles]:
+            damping = driver.damping(episode.person)
+            fields = model_fields(scene, scene.model, episode, damping)
+            return fields, driver.muscles(episode.person)
+
+        self._person_of = jax.jit(person_of)
+        self._limit_torque = jax.jit(driver.limit_torque)
+
+    def blank(self) -> NativeData:
+        """Data of a world in which nothing has begun."""
+        return NativeData.of(mujoco.MjData(self.model), self._layout)
+
+    def place(self, data: NativeData, episode: Episode, where: Array | None = None) -> NativeData:
+        """Everything at rest at the start of an episode."""
+        if where is not None and not where:
+            return data
+        rest, index = dict.fromkeys(MOTION, 0.0), self.scene.index
+        with self._lock:
+            d = self._load(data.replace(**rest | {"qpos": self.model.qpos0}), episode)
+            d.qpos[index.robot_qpos] = episode.placement.arm_angles
+            d.qpos[index.person_qpos] = episode.person_angles
+            mujoco.mj_kinematics(self.model, d)
+            return NativeData.of(d, self._layout)
+
+    def simulate(
+        self, data: NativeData, episode: Episode, orders: Orders
+    ) -> tuple[NativeData, Touch, Motion]:
+        """One control step. The ``qpos`` of a world that goes non-finite are NaN."""
+        index, sensors = self.scene.index, []
+        target = np.asarray(orders.target)
+        with self._lock:
+            d = self._load(data, episode)
+            d.ctrl[index.robot_ctrl] = orders.goal
+            moments = []
+            for _ in range(self.frame_skip):
+                if not _is_sound(d):
+                    break
+                d.qfrc_applied[index.person_dof] = self._torque(d, target)
+                mujoco.mj_step(self.model, d)
+                sensors.append(d.sensordata.copy())
+                moments.append(moment(index, d, np))
+            if not _is_sound(d):
+                still = at_rest(index, data, self.frame_skip)
+                return (
+                    data.replace(qpos=np.nan),
+                    no_touch(index),
+                    still,
+                )  # the guard against NaN sees it
+            mujoco.mj_kinematics(self.model, d)
+            moments.append(moment(index, d, np))
+            motion = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *moments)
+            touch = _sum(read_touch(index, np.stack(sensors), np))
+            return NativeData.of(d, self._layout), touch, motion
+
+    def _torque(self, d: mujoco.MjData, target: np.ndarray) -> np.ndarray:
+        """Of muscles and pose-dependent limits on the person's joints [N m] (n_person,)."""
+        q = d.qpos[self.scene.index.person_qpos].astype(np.float32)
+        load, v = d.qfrc_bias[self.scene.index.person_dof], d.qvel[self.scene.index.person_dof]
+        torque = self._muscles.torque(target, q, load, np)
+        return torque if self.driver.within_limits(q) else torque + self._limit_torque(q, v)
+
+    def overflow(self, data: NativeData) -> Array:
+        """Never: C MuJoCo's buffers grow ()."""
+        return jnp.float32(0.0)
+
+    def _load(self, data: NativeData, episode: Episode) -> mujoco.MjData:
+        """Model and data hold this world and nothing of the one before."""
+        leaves = jax.tree.leaves((episode.person, episode.rows, episode.placement))
+        same = len(leaves) == len(self._written)
+        if not (same and all(a is b for a, b in zip(leaves, self._written, strict=True))):
+            fields, muscles = jax.device_get(self._person_of(episode))
+            self._muscles = Muscles(float(muscles.gain), float(muscles.bound), muscles.passive)
+            for name, value in fields.items():
+                getattr(self.model, name)[:] = value
+            self._written = leaves
+        for name in MOTION:
+            getattr(self._data, name)[:] = getattr(data, name)
+        self._data.qfrc_applied[:] = 0.0
+        return self._data
+
+
+def _sum(touch: Touch) -> Touch:
+    """Over physics steps, the first axis."""
+    return jax.tree.map(lambda x: x.sum(axis=0), touch)
+
+
+def _own_model(scene: Scene) -> mujoco.MjModel:
+    """A copy of the scene's model to write people into, which does not reset what goes non-finite.
+
+    Where a geom or an inertia lies at the origin of its body, the compiler marks it as such; not
+    every person's does.
+    """
+    model, index = copy.copy(scene.model), scene.index
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    model.geom_sameframe[index.person_geom] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    model.body_sameframe[index.person_body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    return model
+
+
+def _is_sound(d: mujoco.MjData) -> bool:
+    """Whether C MuJoCo can go on from here: all numbers are finite, and fit into float32."""
+    return all(np.abs(x).max() < mujoco.mjMAXVAL for x in (d.qpos, d.qvel))

@@ -1,0 +1,141 @@
+"""Actions as joint targets and muscle torques: the first part of a control step, whatever the physics.
+
+DEVIATION(limit-clip): a robot's target is clipped to the joint limits; AG drops the rest of a
+joint's motion in that control step once it would cross a limit.
+DEVIATION(arm-limits-always): the pose-dependent limits of the arm hold for the still person too, whom
+the robot may push; AG judges them for the active person only.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from agym_jax.sim.index import Index
+from agym_jax.human import body
+from agym_jax.human import limits
+from agym_jax.human import muscles
+from agym_jax.human.population import Person
+from agym_jax.sim.scene import Scene
+from agym_jax.spec import PersonSpec, Task
+from agym_jax.state import Episode
+
+ARM = ("shoulder_y", "shoulder_x", "shoulder_z", "elbow_x")
+"""Joints whose limits depend on each other, in the order of ``person.limits``."""
+LIKE_RIGHT = {
+    sign: limits.mirror_left(np.ones(len(ARM), np.float32), sign, np) for sign in (1.0, -1.0)
+}
+"""Factors that turn the angles of an arm of that side into those of a right one."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Orders:
+    """What one control step asks of the joints."""
+
+    action: Array  # clipped to [-1, 1]                                       (n_action,)
+    goal: Array  # of the robot's joints, within their limits [rad]           (n_arm,)
+    target: Array  # of the muscles, tremor included [rad]                    (n_person,)
+    hold: Array  # the same without tremor, to be remembered [rad]            (n_person,)
+
+
+@dataclass(frozen=True, eq=False)  # has arrays in it: equal if identical
+class Driver:
+    """How the joints of one scene are driven: pure functions of one world."""
+
+    index: Index
+    spec: PersonSpec  # of the joints that are hinges in the scene
+    active: bool  # whether the person acts
+    action_scale: float  # of a full action [rad]
+    robot_range: np.ndarray  # joint limits [rad]                             (n_arm, 2)
+    arm_limits: limits.ArmLimits
+    arms: tuple[tuple[np.ndarray, float], ...]  # rows of an arm's four joints, 1 right or -1 left
+
+    @classmethod
+    def of(cls, scene: Scene, task: Task, active: bool) -> Driver:
+        """The driver of a scene."""
+        names = scene.moving
+        arms = [
+            (np.array([names.index(f"{side}_{joint}") for joint in ARM]), sign)
+            for side, sign in (("r", 1.0), ("l", -1.0))
+            if f"{side}_{ARM[0]}" in names
+        ]
+        return cls(
+            index=scene.index,
+            spec=dataclasses.replace(task.person, joints=scene.moving),
+            active=active,
+            action_scale=task.control.action_scale,
+            robot_range=np.array(scene.model.jnt_range[scene.index.robot_joint], np.float32),
+            arm_limits=limits.load_arm_limits(),
+            arms=tuple(arms),
+        )
+
+    def orders(self, episode: Episode, qpos: Array, action: Array) -> Orders:
+        """What an action means, given where the joints are.
+
+        Args:
+            episode: of the world.
+            qpos: of the whole scene [rad] (nq,).
+            action: robot's joints, then the active person's; NaN and infinity act as 0 (n_action,).
+        """
+        n_arm = len(self.index.robot_ctrl)
+        action = jnp.clip(jnp.where(jnp.isfinite(action), action, 0.0), -1.0, 1.0)
+        goal = qpos[self.index.robot_qpos] + self.action_scale * action[:n_arm]
+        goal = jnp.clip(goal, self.robot_range[:, 0], self.robot_range[:, 1])
+        q = qpos[self.index.person_qpos]
+        return Orders(action, goal, *self.person_target(episode, q, action[n_arm:]))
+
+    def person_target(self, episode: Episode, q: Array, action: Array) -> tuple[Array, Array]:
+        """What the muscles aim at in this control step, and what to remember of it.
+
+        AG env.py take_step: the target is the angle measured now (or, with tremor, the pose held so
+        far) plus the action; tremor adds its amplitude with alternating sign, minus first.
+
+        Args:
+            episode: of the world.
+            q: angles of the person's joints [rad] (n_person,).
+            action: of the active person, clipped (n_person,); (0,) of a still one.
+        """
+        trembles = jnp.any(episode.person.tremor != 0.0)
+        target = episode.person_target
+        if self.active:
+            low, high = body.joint_limits(self.spec.joints, episode.person.limit_scale).T
+            start = jnp.where(trembles, target, q)
+            target = jnp.clip(start + self.action_scale * action, low, high)
+        sign = jnp.where(episode.step % 2 == 0, -1.0, 1.0)
+        return target + sign * episode.person.tremor, target
+
+    def muscles(self, person: Person) -> muscles.Muscles:
+        """How this person pulls."""
+        moving = muscles.is_moving(person.tremor, self.active)
+        return muscles.muscles_of(self.spec, person.strength, moving)
+
+    def damping(self, person: Person) -> Array:
+        """Of the person's joints [N m s/rad] ()."""
+        moving = muscles.is_moving(person.tremor, self.active)
+        return muscles.damping(self.spec, person.strength, moving)
+
+    def limit_torque(self, q: Array, v: Array) -> Array:
+        """Pose-dependent limits of the arms: a torque beside the muscles' [N m] (n_person,).
+
+        Args:
+            q: angles of the person's joints [rad] (n_person,).
+            v: velocities [rad/s] (n_person,).
+        """
+        torque = jnp.zeros_like(q)
+        for arm, sign in self.arms:
+            push = limits.limit_torque(self.arm_limits, q[arm], v[arm], sign)
+            torque = torque.at[arm].set(push)
+        return torque
+
+    def within_limits(self, q: np.ndarray) -> bool:
+        """Whether ``limit_torque`` is zero, and need not be computed; in NumPy, float32."""
+        return all(
+            limits.reachability(self.arm_limits, q[arm] * LIKE_RIGHT[sign], np) > 0.0
+            for arm, sign in self.arms
+        )

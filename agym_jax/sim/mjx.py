@@ -1,0 +1,156 @@
+"""Physics on MJX, in JAX (anywhere) or Warp (NVIDIA GPUs): pure, for any number of worlds at once."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jax import Array
+
+from agym_jax.sim.control import Driver, Orders
+from agym_jax.sim.episode import model_fields, start_qpos
+from agym_jax.compat.mjx_quat import apply, mjx
+from agym_jax.sim.scene import Scene
+from agym_jax.sense import Motion, Touch, add_touch, moment, no_touch
+from agym_jax.state import Episode, strong
+from agym_jax.compat.warp_kernels import compile_kernels
+from agym_jax.compat.warp_streams import hold_streams
+
+apply()
+
+WARP_CONTACTS_PER_WORLD = 24
+WARP_ROWS_PER_WORLD = 128
+WARP_ITERATIONS, WARP_LS_ITERATIONS = 20, 20
+"""Warp stops when it has converged, so generous limits cost nothing."""
+WARP_LOST = 0b1001111
+"""Bits of Warp's overflow flags that mean lost contacts or rows: NEFC, NJMAX_NNZ, BROADPHASE,
+NARROWPHASE, CONTACT_MATCH (not: iteration limits). MuJoCo Warp 3.17, types.OverflowType."""
+AT_REST = ("qvel", "ctrl", "qacc_warmstart", "qfrc_applied", "qfrc_bias")
+"""Fields of ``mjx.Data`` that are 0 as an episode begins."""
+
+
+class MjxPhysics:
+    """See ``physics.Physics``.
+
+    Args:
+        impl: ``"jax"`` or ``"warp"``.
+        scene: what is in the world.
+        driver: of its joints.
+        frame_skip: physics steps of a control step.
+        num_worlds: how many are stepped together; sizes Warp's buffers.
+    """
+
+    traceable = True
+
+    def __init__(self, impl: str, scene: Scene, driver: Driver, frame_skip: int, num_worlds: int):
+        self.impl, self.scene, self.driver = impl, scene, driver
+        self.frame_skip, self.num_worlds = frame_skip, num_worlds
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # MJX's notes on its own experimental features
+            self.model = put_model(scene.model, impl)
+        self._static = np.flatnonzero(scene.model.body_weldid[scene.model.geom_bodyid] == 0)
+
+    def blank(self) -> mjx.Data:
+        """Data of a world in which nothing has begun."""
+        return mjx.make_data(
+            self.scene.model,
+            impl=self.impl,
+            naconmax=WARP_CONTACTS_PER_WORLD * self.num_worlds,
+            njmax=WARP_ROWS_PER_WORLD,
+        )
+
+    def place(self, data: mjx.Data, episode: Episode, where: Array | None = None) -> mjx.Data:
+        """Everything at rest at the start of an episode. Warp's data must not be selected whole."""
+        fresh = {name: jnp.zeros_like(getattr(data, name)) for name in AT_REST}
+        fresh["qpos"] = start_qpos(self.scene, episode)
+        if where is not None:
+            fresh = {k: jnp.where(where, v, getattr(data, k)) for k, v in fresh.items()}
+        model = self.model_of(episode)
+        data = mjx.kinematics(model, data.replace(**fresh))
+        return strong(
+            place_static_geoms(self._static, model, data) if self.impl == "warp" else data
+        )
+
+    def simulate(
+        self, data: mjx.Data, episode: Episode, orders: Orders
+    ) -> tuple[mjx.Data, Touch, Motion]:
+        """One control step."""
+        index, model = self.scene.index, self.model_of(episode)
+        muscles = self.driver.muscles(episode.person)
+        data = data.replace(ctrl=data.ctrl.at[index.robot_ctrl].set(orders.goal))
+
+        def substep(carry: tuple[mjx.Data, Touch], _: None) -> tuple[tuple, Motion]:
+            data, touch = carry
+            q, v = data.qpos[index.person_qpos], data.qvel[index.person_dof]
+            pull = muscles.torque(orders.target, q, data.qfrc_bias[index.person_dof])
+            torque = pull + self.driver.limit_torque(q, v)
+            data = data.replace(qfrc_applied=data.qfrc_applied.at[index.person_dof].set(torque))
+            data = mjx.step(model, data)
+            # what a step leaves behind is where things were as it began
+            return (data, add_touch(index, touch, data.sensordata)), moment(index, data)
+
+        start = (data, no_touch(index))
+        (data, touch), moments = jax.lax.scan(substep, start, length=self.frame_skip)
+        data = mjx.kinematics(model, data)
+        end = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), moments, moment(index, data))
+        return strong(data), touch, end
+
+    def overflow(self, data: mjx.Data) -> Array:
+        """1.0 where Warp's buffers lost a contact or a constraint row ()."""
+        if self.impl != "warp":
+            return jnp.float32(0.0)
+        return ((data._impl.overflow & WARP_LOST) != 0).any().astype(jnp.float32)
+
+    def model_of(self, episode: Episode) -> mjx.Model:
+        """The model with this episode's person and robot base in it."""
+        damping = self.driver.damping(episode.person)
+        return self.model.tree_replace(model_fields(self.scene, self.model, episode, damping))
+
+
+def put_model(model: mujoco.MjModel, impl: str) -> Any:
+    """A MuJoCo model on the device, with the solver limits of the implementation."""
+    if impl != "warp":
+        return mjx.put_model(model, impl=impl)
+    model = copy.copy(model)
+    model.opt.iterations, model.opt.ls_iterations = WARP_ITERATIONS, WARP_LS_ITERATIONS
+    hold_streams()
+    compile_kernels(model, WARP_ROWS_PER_WORLD, WARP_CONTACTS_PER_WORLD, WARP_LOST)
+    put = mjx.put_model(model, impl=impl)
+    option = put.opt._impl.replace(warn_overflow=WARP_LOST)  # no print for iteration limits
+    return put.replace(opt=put.opt.replace(_impl=option))
+
+
+def place_static_geoms(static: np.ndarray, model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """Put geoms that no joint moves where this world's bodies are.
+
+    MuJoCo Warp computes them once, in ``make_data``, from the shared model (``_geom_local_to_global``
+    in its ``smooth.py``), although ``body_pos``, ``body_quat`` and ``geom_pos`` differ from world to
+    world here. Call it once an episode, after ``mjx.kinematics``.
+
+    Args:
+        static: geoms on bodies that are welded to the world (n,).
+        model: with this world's fields.
+        data: of one world, ``xpos`` and ``xmat`` up to date.
+    """
+    bodies = np.asarray(model.geom_bodyid)[static]
+    turn = data.xmat[bodies].reshape(-1, 3, 3)
+    pos = data.xpos[bodies] + jnp.einsum("nij,nj->ni", turn, model.geom_pos[static])
+    mat = turn @ _matrices(model.geom_quat[static])
+    xmat = data.geom_xmat.at[static].set(mat.reshape(-1, *data.geom_xmat.shape[1:]))
+    return data.replace(geom_xpos=data.geom_xpos.at[static].set(pos), geom_xmat=xmat)
+
+
+def _matrices(quats: Array) -> Array:
+    """Rotation matrices (n, 3, 3) of unit quaternions wxyz (n, 4)."""
+    w, x, y, z = jnp.moveaxis(quats, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return jnp.moveaxis(jnp.array(rows), -1, 0)

@@ -1,0 +1,122 @@
+"""Physics: what the environment asks of it, and which implementations there are.
+
+``mjx_physics`` is MJX, in JAX or Warp, for any number of worlds; ``native`` is C MuJoCo, for one world
+on the CPU. Each is imported only when it is used: MJX alone takes seconds to import.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import Any, Protocol
+
+import jax
+from jax import Array
+
+from agym_jax.sim.control import Driver, Orders
+from agym_jax.errors import ImplementationError, did_you_mean
+from agym_jax.sim.scene import Scene
+from agym_jax.sense import Motion, Touch
+from agym_jax.state import Episode
+
+IMPLEMENTATIONS = ("auto", "jax", "warp", "native")
+
+
+class Physics(Protocol):
+    """Moves one world; knows nothing of tasks. Its ``data`` is what ``sense`` reads."""
+
+    traceable: bool
+    """Whether JAX can trace it (``jit``, ``vmap``); if not, only what is around it is compiled."""
+
+    def blank(self) -> Any:
+        """Data of a world in which nothing has begun."""
+        ...
+
+    def place(self, data: Any, episode: Episode, where: Array | None = None) -> Any:
+        """Everything at rest at the start of an episode, kinematics up to date.
+
+        Args:
+            data: of the world, or ``blank``.
+            episode: of the world.
+            where: if given, only where it holds; the rest of ``data`` stays as it is ().
+        """
+        ...
+
+    def simulate(self, data: Any, episode: Episode, orders: Orders) -> tuple[Any, Touch, Motion]:
+        """One control step; kinematics of the result are up to date.
+
+        Args:
+            data: of the world.
+            episode: of the world.
+            orders: to the joints, the same throughout the control step.
+
+        Returns:
+            Data after the control step, sums of the contact sensors over its physics steps, and the
+            way that tool and person went.
+        """
+        ...
+
+    def overflow(self, data: Any) -> Array:
+        """1.0 where contacts or constraints were lost because buffers were too small ()."""
+        ...
+
+
+def choose_impl(impl: str, one_world: bool = False) -> str:
+    """The physics implementation that a name stands for on this machine.
+
+    Args:
+        impl: one of ``IMPLEMENTATIONS``.
+        one_world: whether only one world is stepped at a time, outside of ``jit`` and ``vmap``; on a CPU
+            ``"auto"`` is then C MuJoCo.
+
+    Raises:
+        ImplementationError: there is no such implementation, or Warp is not installed.
+    """
+    if impl not in IMPLEMENTATIONS:
+        raise ImplementationError(
+            f"Unknown implementation {impl!r}. {did_you_mean(impl, IMPLEMENTATIONS)}"
+        )
+    has_warp = importlib.util.find_spec("warp") is not None
+    if impl == "warp" and not has_warp:
+        raise ImplementationError(
+            "impl='warp' needs the package warp-lang: pip install 'agym_jax[cuda]' "
+            "(or use impl='jax', which runs everywhere)."
+        )
+    if impl != "auto":
+        return impl
+    if one_world and jax.default_backend() == "cpu":
+        return "native"
+    return "warp" if has_warp and jax.default_backend() == "gpu" else "jax"
+
+
+def build_physics(
+    impl: str, scene: Scene, driver: Driver, frame_skip: int, num_worlds: int
+) -> Physics:
+    """The physics of a scene.
+
+    Args:
+        impl: from ``choose_impl``.
+        scene: what is in the world.
+        driver: of its joints.
+        frame_skip: physics steps of a control step.
+        num_worlds: how many are stepped together; sizes Warp's buffers.
+    """
+    if impl == "native":
+        from agym_jax.sim.c_mujoco import NativePhysics
+
+        return NativePhysics(scene, driver, frame_skip)
+    from agym_jax.sim.mjx import MjxPhysics
+
+    return MjxPhysics(impl, scene, driver, frame_skip, num_worlds)
+
+
+def check_traceable(physics: Physics, *values: Any) -> None:
+    """Refuse to compile what cannot be compiled.
+
+    Raises:
+        ImplementationError: ``values`` are being traced, but the physics cannot be.
+    """
+    if not physics.traceable and any(isinstance(value, jax.core.Tracer) for value in values):
+        raise ImplementationError(
+            "impl='native' steps one world at a time, outside of jax.jit and jax.vmap (its pieces are "
+            "compiled already). Use impl='jax' or 'warp' for many worlds, or to compile a step."
+        )

@@ -1,0 +1,389 @@
+"""(task, robot, person) -> MuJoCo model and Index: the only reader of names.
+
+Parts are composed with ``MjSpec.attach`` under the prefixes ``robot/``, ``tool/`` (and ``tool2/`` in
+a second hand), ``person/``, ``seat/``, ``seat/<prop>/`` and ``mount/``. The physics model is lean: no
+visual geoms, hinges only where something moves. The same function with ``visual=True`` gives the model that
+people look at, with ``solid=True`` the one in which everything has its collision shape.
+
+DEVIATION(contacts): contact is simulated between named primitives only: tool, hand, wrist and forearm
+of the robot, the limbs that a task names, and the right armrest or the mattress. The robot does not
+collide with itself or with the rest of the furniture; AG uses convex meshes of everything.
+DEVIATION(hard-limits): human joint limits are MuJoCo's limit constraints; AG resets the joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from agym_jax.data.assets import asset_path
+from agym_jax.sim.contacts import contact_pairs, is_sensed, tool_prefixes
+from agym_jax.errors import UnknownNameError
+from agym_jax.sim.index import Index, ToolIndex
+from agym_jax.rendering.meshes import LOOKS, dress
+from agym_jax.human import anthropometry
+from agym_jax.human import body
+from agym_jax.human import pose as person_pose
+from agym_jax.human.model import build as build_person
+from agym_jax.spec import Arm, Pose, RobotSpec, Surface, Task, ToolSpec, Vec3
+from agym_jax.sim.validate import check_robot, check_seat, check_task, check_tool
+
+ITERATIONS, LS_ITERATIONS = 4, 8
+"""Newton iterations and line-search steps of the JAX implementation. ``tests/test_parity.py`` compares a
+pressing rollout with C MuJoCo; ``python -m benchmarks.nan`` looks for NaN."""
+MAX_CONTACTS = 8
+"""Contacts that MJX-JAX keeps per world, the deepest first (Warp keeps all)."""
+SKIN_SOLREF = (0.04, 1.0)
+SKIN_SOLIMP = (0.7, 0.95, 0.01, 0.5, 2.0)
+"""Soft skin: the constraint's time constant is two physics steps, the shortest that is stable."""
+FRICTION = 0.5  # AG: lateral friction of person, tool and furniture
+SURFACE_RADIUS = 0.002  # half thickness of what is drawn [m]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A compiled scene.
+
+    Attributes:
+        model: MuJoCo model of an average man.
+        female: the same for an average woman: invweights are interpolated between the two.
+        index: where things are.
+        arms: of the robot, those in use, in action order.
+        moving: joints of the person that are hinges, in action order.
+    """
+
+    model: mujoco.MjModel
+    female: mujoco.MjModel
+    index: Index
+    arms: tuple[Arm, ...]
+    moving: tuple[str, ...]
+
+
+@cache
+def build_scene(task: Task, robot: RobotSpec, active: bool = False) -> Scene:
+    """Compile the scene of a task-robot pair; the result is shared, do not write into it."""
+    male = compose(task, robot, active)
+    moving = task.person.moving(active)
+    return Scene(
+        male, compose(task, robot, active, sex=1.0), _index(male, task, robot, moving),
+        robot.arms_for(task), moving,
+    )  # fmt: skip
+
+
+def compose(
+    task: Task,
+    robot: RobotSpec,
+    active: bool = False,
+    sex: float = 0.0,
+    stature: float = 1.0,
+    girth: float = 1.0,
+    limit_scale: float = 1.0,
+    pose: person_pose.Pose | None = None,
+    base: Pose | None = None,
+    visual: bool = False,
+    solid: bool = False,
+    surfaces: Sequence[Surface] = (),
+    looks: str = "primitives",
+) -> mujoco.MjModel:
+    """Compile one person's scene.
+
+    Args:
+        task: of the scene.
+        robot: of the scene.
+        active: whether the person acts.
+        sex: see ``anthropometry.dims``.
+        stature: see there.
+        girth: see there.
+        limit_scale: of the person's impairment.
+        pose: the person's, if not the task's typical one.
+        base: the robot's, if not the one fixed to the seat.
+        visual: with lights, cameras, floor and the geoms that people look at.
+        solid: with every collision geom and link, not only those that may touch in physics.
+        surfaces: meshes to draw; ``draw_surfaces`` moves their vertices.
+        looks: with ``visual``, what the robot looks like: "primitives", or "meshes" of other packages.
+
+    Raises:
+        SpecError: robot, tool, seat or task do not fit together, see ``validate``.
+        UnknownNameError: the task names a joint or link that no person has.
+    """
+    check_task(task)
+    if looks not in LOOKS:
+        raise UnknownNameError("looks", looks, LOOKS)
+    arms, moving = robot.arms_for(task), task.person.moving(active)
+    spec = _load("scene.xml") if visual else mujoco.MjSpec()
+    if visual and task.seat.front is not None:
+        _look(spec.camera("front"), *task.seat.front)
+    spec.modelname = f"{task.name}{robot.name}"
+    _set_options(spec, task)
+    fixed_base = robot.fixed_base(task)
+    base = base or fixed_base or Pose()
+    robot_spec, seat_spec = _load(robot.model), _load(task.seat.model)
+    check_robot(robot_spec, robot, task)
+    check_seat(seat_spec, task.seat)
+    if task.tool is not None:
+        check_tool(_load(task.tool.model), task.tool)
+    if visual and looks == "meshes":
+        dress(robot_spec, robot)
+    _weld_the_rest(robot_spec, robot, task, arms)
+    robot_root = robot_spec.worldbody.first_body().name
+    _attach(spec, robot_spec, base, "robot/")
+    if task.tool is not None:
+        for prefix, arm in zip(tool_prefixes(task, arms), arms, strict=True):
+            _hold(spec, arm, robot, task.tool, prefix)
+    for b in spec.bodies:
+        if b.name.startswith(("robot/", "tool")):
+            b.gravcomp = 1.0  # AG switches gravity off for robot and tool
+    _attach(spec, seat_spec, Pose(), "seat/")
+    if (visual or solid) and task.seat.name in robot.mounts:
+        # one that belongs to the seat is drawn in the world, one that moves with the robot at its base
+        mount = Pose(base.pos) if fixed_base is None else Pose()
+        _attach(spec, _load(robot.mounts[task.seat.name]), mount, "mount/")
+    for prop in task.seat.props if visual or solid else ():
+        _attach(spec, _load(prop.model), prop.pose, f"seat/{prop.name}/")
+    d = anthropometry.dims(sex, stature, girth)
+    pose = pose or person_pose.typical(task.person, sex, stature, girth, limit_scale)
+    rows = person_pose.rows(task.person, pose, d, moving, limit_scale, np)
+    everything = visual or solid
+    links = tuple(x.name for x in body.LINKS) if everything else lean_links(task, moving)
+    _attach(spec, build_person(rows, moving, d, links, visual), Pose(), "person/")
+    for i, surface in enumerate(surfaces):
+        _add_surface(spec, f"surface_{i}", surface)
+    _add_motors(spec, task, arms)
+    _add_contacts(spec, task, contact_pairs(task, arms, moving))
+    if not everything:
+        _make_lean(spec, f"robot/{robot_root}", links)
+    return spec.compile()
+
+
+def lean_links(task: Task, moving: tuple[str, ...]) -> tuple[str, ...]:
+    """Links of the person that the physics model needs: those that move, may be touched or matter."""
+    goals = {name for arm in task.goals for name in arm}
+    limbs = {"chest", *task.person.limbs, *task.person.links, *goals}
+    limbs |= {f"{task.person.arm}_{x}" for x in ("upper_arm", "forearm", "hand")}
+    return tuple(x.name for x in body.LINKS if body.is_free(x, moving) or x.name in limbs)
+
+
+def _add_surface(spec: mujoco.MjSpec, name: str, surface: Surface) -> None:
+    """A mesh that takes no part in physics: MuJoCo's flexible surface, all vertices fixed in the world."""
+    flex = spec.add_flex()
+    flex.name, flex.dim, flex.radius, flex.rgba = name, 2, SURFACE_RADIUS, surface.rgba
+    flex.vert = np.asarray(surface.vertices, float).ravel().tolist()
+    flex.elem = np.asarray(surface.triangles).ravel().tolist()
+    flex.vertbody = ["world"]
+    flex.contype = flex.conaffinity = 0
+
+
+def draw_surfaces(data: mujoco.MjData, surfaces: Sequence[Surface]) -> None:
+    """Move the vertices of ``compose``'s surfaces; kinematics of the model would put them back."""
+    if surfaces:
+        data.flexvert_xpos[:] = np.concatenate([np.asarray(s.vertices) for s in surfaces])
+
+
+def _make_lean(spec: mujoco.MjSpec, robot_root: str, links: tuple[str, ...]) -> None:
+    """Drop what nobody touches, and fuse static bodies: shallow trees run fastest in MJX.
+
+    The robot's root and the person's links stay bodies, because they are posed per world; an
+    ``<exclude>`` that names a body keeps it from being fused.
+    """
+    touching = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    for geom in list(spec.geoms):
+        if geom.name not in touching and not geom.name.startswith("person/"):
+            spec.delete(geom)
+    spec.compiler.fusestatic = True
+    for link in links:
+        spec.add_exclude(bodyname1=robot_root, bodyname2=f"person/{link}")
+
+
+def _load(asset: str) -> mujoco.MjSpec:
+    return mujoco.MjSpec.from_file(str(Path(asset_path(asset))))
+
+
+def _look(camera: mujoco.MjsCamera, origin: Vec3, target: Vec3) -> None:
+    """Point a camera, upright."""
+    back = np.subtract(origin, target) / np.linalg.norm(np.subtract(origin, target))
+    right = np.cross((0.0, 0.0, 1.0), back)
+    right /= np.linalg.norm(right)
+    camera.pos = origin
+    camera.alt.xyaxes = (*right, *np.cross(back, right))  # how the stage's file orients it too
+
+
+def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, pose: Pose, prefix: str) -> None:
+    frame = spec.worldbody.add_frame(pos=pose.pos, quat=pose.quat)
+    spec.attach(child, frame=frame, prefix=prefix)
+
+
+def _set_options(spec: mujoco.MjSpec, task: Task) -> None:
+    option = spec.option
+    option.timestep = task.control.time_step
+    option.gravity = (0.0, 0.0, task.gravity)
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.iterations, option.ls_iterations = ITERATIONS, LS_ITERATIONS
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+    spec.add_numeric(name="max_contact_points", size=1, data=[MAX_CONTACTS])
+
+
+def _weld_the_rest(
+    spec: mujoco.MjSpec, robot: RobotSpec, task: Task, arms: tuple[Arm, ...]
+) -> None:
+    """Weld every joint that the task does not move: fingers at the opening, others at rest."""
+    holds = task.tool.name if task.tool is not None else "hand"
+    opening = robot.gripper_opening.get(holds, 0.0)
+    used = {name for arm in arms for name in arm.joints}
+    fingers = {name for arm in arms for name in arm.gripper}
+    for joint in list(spec.joints):
+        if joint.name in used:
+            continue
+        angle = robot.rest.get(joint.name, 0.0)
+        if joint.name in fingers:
+            # the second finger of a parallel gripper opens the other way
+            angle = -opening if joint.range[1] <= 0.0 < joint.range[1] - joint.range[0] else opening
+        _weld(spec, joint, angle)
+
+
+def _weld(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:
+    """Fix a joint at an angle [rad], or a shift [m] along its axis. Its anchor must be the origin."""
+    child = joint.parent
+    if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+        turn, quat = np.zeros(4), np.zeros(4)
+        mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis, float), angle)
+        mujoco.mju_mulQuat(quat, np.asarray(child.quat, float), turn)
+        child.quat = quat
+    else:
+        shift = np.zeros(3)
+        mujoco.mju_rotVecQuat(shift, np.asarray(joint.axis, float), np.asarray(child.quat, float))
+        child.pos = np.asarray(child.pos) + angle * shift
+    spec.delete(joint)
+
+
+def _hold(spec: mujoco.MjSpec, arm: Arm, robot: RobotSpec, tool: ToolSpec, prefix: str) -> None:
+    """Attach a tool rigidly to a hand."""
+    grasp = robot.grasps.get(tool.name, tool.grasp)
+    site = spec.site(f"robot/{arm.tool_frame}")
+    pos, quat = np.zeros(3), np.zeros(4)
+    mujoco.mju_mulPose(
+        pos, quat, np.asarray(site.pos, float), np.asarray(site.quat, float),
+        np.asarray(grasp.pos, float), np.asarray(grasp.quat, float),
+    )  # fmt: skip
+    frame = site.parent.add_frame(pos=pos, quat=quat)
+    spec.attach(_load(tool.model), frame=frame, prefix=prefix)
+
+
+def _add_motors(spec: mujoco.MjSpec, task: Task, arms: tuple[Arm, ...]) -> None:
+    c = task.control
+    for name in (name for arm in arms for name in arm.joints):
+        motor = spec.add_actuator(
+            name=name, target=f"robot/{name}", trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
+        motor.set_to_position(kp=c.stiffness, kv=c.damping)
+
+
+def _add_contacts(
+    spec: mujoco.MjSpec, task: Task, touches: dict[str, list[tuple[str, str]]]
+) -> None:
+    bits = (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)) | (
+        1 << int(mujoco.mjtConDataField.mjCONDATA_POS)
+    )
+    for kind, pairs in touches.items():
+        friction = task.seat.friction if kind == "person_seat" else FRICTION
+        for a, b in pairs:
+            spec.add_pair(
+                name=f"{a}|{b}", geomname1=a, geomname2=b, condim=3,
+                friction=[friction, friction, 0.005, 0.0001, 0.0001],
+                solref=SKIN_SOLREF, solimp=SKIN_SOLIMP,
+            )  # fmt: skip
+            if is_sensed(kind):
+                spec.add_sensor(
+                    name=f"{kind}|{a}|{b}", type=mujoco.mjtSensor.mjSENS_CONTACT,
+                    objtype=mujoco.mjtObj.mjOBJ_GEOM, objname=a,
+                    reftype=mujoco.mjtObj.mjOBJ_GEOM, refname=b,
+                    # force and position of the deepest contact; not of that of largest force: where that
+                    # is zero, MJX-JAX 3.17 reports the force of another pair
+                    intprm=[bits, 1, 1],
+                )  # fmt: skip
+
+
+def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[str, ...]) -> Index:
+    def ids(kind: mujoco.mjtObj, names) -> np.ndarray:
+        found = [mujoco.mj_name2id(model, kind, n) for n in names]
+        for name, i in zip(names, found, strict=True):
+            if i < 0:
+                raise UnknownNameError(
+                    kind.name.removeprefix("mjOBJ_").lower(), name, _all(model, kind)
+                )
+        return np.array(found, np.int32)
+
+    o = mujoco.mjtObj
+    arms = robot.arms_for(task)
+    pairs = contact_pairs(task, arms, moving)
+    sensors = {
+        kind: model.sensor_adr[ids(o.mjOBJ_SENSOR, [f"{kind}|{a}|{b}" for a, b in named])].astype(
+            np.int32
+        )
+        for kind, named in pairs.items()
+        if is_sensed(kind)
+    }
+
+    def tool_index(i: int, arm: Arm) -> ToolIndex:
+        joints = ids(o.mjOBJ_JOINT, [f"robot/{n}" for n in arm.joints])
+        empty = np.zeros(0, np.int32)
+        if task.tool is None:
+            tip = ids(o.mjOBJ_SITE, [f"robot/{arm.end_effector}"])[0]
+            geoms = ids(o.mjOBJ_GEOM, [f"robot/{arm.links[0]}"])
+            on_person, on_seat, working = empty, empty, np.zeros(0, np.float32)
+        else:
+            prefix = tool_prefixes(task, arms)[i]
+            tip = ids(o.mjOBJ_SITE, [f"{prefix}{task.tool.tip}"])[0]
+            geoms = ids(o.mjOBJ_GEOM, [f"{prefix}{g}" for g in task.tool.geoms])
+            on_person, on_seat = sensors[f"{prefix}person"], sensors[f"{prefix}seat"]
+            parts = {f"{prefix}{g}" for g in task.tool.geoms[: task.tool.n_working]}
+            working = np.array([a in parts for a, _ in pairs[f"{prefix}person"]], np.float32)
+        return ToolIndex(
+            body=int(model.site_bodyid[tip]),
+            quat=model.site_quat[tip].astype(np.float32),
+            tip=int(tip),
+            geoms=geoms,
+            joints=joints,
+            dofs=model.jnt_dofadr[joints],
+            on_person=on_person,
+            working=working,
+            on_seat=on_seat,
+        )
+
+    robot_joint = ids(o.mjOBJ_JOINT, [f"robot/{n}" for arm in arms for n in arm.joints])
+    person_joint = ids(o.mjOBJ_JOINT, [f"person/{n}" for n in moving])
+    lean = lean_links(task, moving)
+    links = [f"person/{name}" for name in lean]
+    torso = int(ids(o.mjOBJ_SITE, [f"robot/{robot.torso}"])[0])
+    return Index(
+        robot_joint=robot_joint,
+        robot_qpos=model.jnt_qposadr[robot_joint],
+        robot_dof=model.jnt_dofadr[robot_joint],
+        robot_ctrl=ids(o.mjOBJ_ACTUATOR, [n for arm in arms for n in arm.joints]),
+        robot_base=int(model.body_rootid[model.site_bodyid[torso]]),
+        torso_site=torso,
+        tools=tuple(tool_index(i, arm) for i, arm in enumerate(arms)),
+        robot_person=sensors["robot_person"],
+        person_joint=person_joint,
+        person_qpos=model.jnt_qposadr[person_joint],
+        person_dof=model.jnt_dofadr[person_joint],
+        links=lean,
+        person_row=np.array([i for i, x in enumerate(body.LINKS) if x.name in lean], np.int32),
+        person_body=ids(o.mjOBJ_BODY, links),
+        person_geom=ids(o.mjOBJ_GEOM, links),
+    )
+
+
+def _all(model: mujoco.MjModel, kind: mujoco.mjtObj) -> list[str]:
+    count = {
+        mujoco.mjtObj.mjOBJ_JOINT: model.njnt, mujoco.mjtObj.mjOBJ_BODY: model.nbody,
+        mujoco.mjtObj.mjOBJ_SITE: model.nsite, mujoco.mjtObj.mjOBJ_GEOM: model.ngeom,
+        mujoco.mjtObj.mjOBJ_SENSOR: model.nsensor, mujoco.mjtObj.mjOBJ_ACTUATOR: model.nu,
+    }[kind]  # fmt: skip
+    return [mujoco.mj_id2name(model, kind, i) or "" for i in range(count)]

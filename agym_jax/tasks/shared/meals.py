@@ -1,0 +1,187 @@
+"""What Feeding and Drinking share: the person who is helped, what both see, and what particles meet.
+
+Assistive Gym v0.1 ``feeding.py`` and ``drinking.py`` (reference tasks.md sections 4 and 5): the person
+sits in the wheelchair with the head turned by up to 30 degrees; the goal is the mouth.
+
+DEVIATION(particle-obstacles): particles meet tool, person, table, bowl and floor, not the robot and not
+the wheelchair. What is eaten, spilled or poured away leaves the simulation; AG puts what is eaten far
+away and lets the rest lie.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from agym_jax.matter.particles.solver import Obstacles, Particles
+from agym_jax.matter.shapes import Boxes, Capsules
+from agym_jax.observe import column, observation
+from agym_jax.human.body import HEAD
+from agym_jax.human.capsules import link_capsules
+from agym_jax.sense import Sensed
+from agym_jax.spec import PersonSpec, Pose
+
+_RAD = math.pi / 180.0
+
+TOUCHABLE = (
+    "head", "neck", "chest", "right_girdle", "left_girdle", "right_upper_arm", "right_forearm",
+    "right_hand",
+)  # fmt: skip
+"""Limbs that tool and hand may touch."""
+BELOW = ("waist", "left_upper_arm", "left_forearm", "left_hand", "right_thigh", "left_thigh")
+"""Further limbs that particles may fall on."""
+THINNEST = 0.024
+"""Least half thickness of what particles fall on [m]: the forearm of a slender woman; table and bowl are
+thicker."""
+SEEN = "feeding.py, drinking.py _get_obs"
+
+
+def eater(rate: float, max_torque: float) -> PersonSpec:
+    """The person who is fed. AG feeding.py, drinking.py reset; humans.md sections 5 to 7.
+
+    Args:
+        rate: AG's gain over its solver sub-step [1/s].
+        max_torque: of a person of full strength [N m].
+    """
+    return PersonSpec(
+        joints=HEAD,
+        pose={
+            "r_elbow_x": -90 * _RAD, "l_elbow_x": -90 * _RAD, "r_hip_x": -90 * _RAD,
+            "r_knee_x": 80 * _RAD, "l_hip_x": -90 * _RAD, "l_knee_x": 80 * _RAD,
+        },
+        pose_range={"head_x": 30 * _RAD, "head_y": 30 * _RAD, "head_z": 30 * _RAD},
+        hold_rate=rate,
+        move_rate=rate,
+        max_torque=max_torque,
+        tremor_amplitude=20 * _RAD,
+        impairments=("none", "limits", "weakness", "tremor"),
+        limbs=TOUCHABLE,
+        links=BELOW,
+        still="frozen",
+    )  # fmt: skip
+
+
+@observation
+class RobotObs:
+    """What the robot sees."""
+
+    tool_pos_torso: Array = column(3, "m", "world axes, from the robot's torso", SEEN)
+    tool_quat_w: Array = column(4, "1 (wxyz)", "world", SEEN)
+    tool_pos_mouth: Array = column(3, "m", "world axes, from the mouth", SEEN)
+    arm_angles: Array = column(7, "rad", "joints", SEEN)
+    head_pos_torso: Array = column(3, "m", "world axes, from the torso", SEEN)
+    head_quat_w: Array = column(4, "1 (wxyz)", "world", SEEN)
+    tool_on_person: Array = column(1, "N", "tool on the person", SEEN)
+
+
+@observation
+class PersonObs:
+    """What the active person sees and feels."""
+
+    tool_pos_person: Array = column(3, "m", "world axes, from the chest", SEEN)
+    tool_quat_w: Array = column(4, "1 (wxyz)", "world", SEEN)
+    tool_pos_mouth: Array = column(3, "m", "world axes, from the mouth", SEEN)
+    person_angles: Array = column(4, "rad", "neck and head joints", SEEN)
+    head_pos_person: Array = column(3, "m", "world axes, from the chest", SEEN)
+    head_quat_w: Array = column(4, "1 (wxyz)", "world", SEEN)
+    robot_on_person: Array = column(1, "N", "robot on the person", SEEN)
+    tool_on_person: Array = column(1, "N", "tool on the person", SEEN)
+
+
+def observe(sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+    """What robot and person see."""
+    s, tool = sensed, sensed.tool
+    head, quat = s.link_pos_w["head"], s.link_quat_w["head"]
+    to_mouth = tool.pos_w - s.mouth_pos_w
+    robot = RobotObs(
+        tool_pos_torso=tool.pos_w - s.torso_pos_w,
+        tool_quat_w=tool.quat_w,
+        tool_pos_mouth=to_mouth,
+        arm_angles=s.arm_angles,
+        head_pos_torso=head - s.torso_pos_w,
+        head_quat_w=quat,
+        tool_on_person=s.tool_on_person,
+    )
+    person = PersonObs(
+        tool_pos_person=tool.pos_w - s.person_pos_w,
+        tool_quat_w=tool.quat_w,
+        tool_pos_mouth=to_mouth,
+        person_angles=s.person_angles,
+        head_pos_person=head - s.person_pos_w,
+        head_quat_w=quat,
+        robot_on_person=s.robot_on_person,
+        tool_on_person=s.tool_on_person,
+    )
+    return robot, person
+
+
+class Fates(NamedTuple):
+    """What became of every particle in one control step; the masks exclude each other."""
+
+    eaten: Array  # (n,) bool
+    spilled: Array  # (n,) bool
+    hit: Array  # counted as a hit of the person (n,) bool
+    speed: Array  # sum over the eaten ones, before they vanish [m/s] ()
+
+
+def obstacles(sensed: Sensed, vessel: Pose, furniture: Boxes) -> Obstacles:
+    """What particles can touch, at every physics step of the control step.
+
+    Args:
+        sensed: with its motion over n physics steps.
+        vessel: frame of what holds the particles, in the tool's frame.
+        furniture: at rest.
+    """
+    motion = sensed.motion
+    pos, quat = attach(motion.tool_pos_w, motion.tool_quat_w, vessel)
+    links = (*TOUCHABLE, *BELOW)
+    person = link_capsules(sensed.dims, links, motion.link_pos_w, motion.link_rot_w)
+    return Obstacles(
+        vessel_pos_w=pos,
+        vessel_quat_w=quat,
+        person=Capsules(*person),
+        furniture=furniture,
+        floor=jnp.float32(0.0),
+    )
+
+
+HIDDEN_SIZE = 5
+
+
+def hidden(matter: Particles, eaten: Array, mouth_pos_w: Array) -> Array:
+    """What is left and where: what rewards to come depend on and nobody observes (HIDDEN_SIZE,).
+
+    Args:
+        matter: food or water.
+        eaten: how many particles ().
+        mouth_pos_w: now [m] (3,).
+    """
+    left = jnp.sum(matter.alive, dtype=jnp.float32)
+    off = jnp.where(matter.alive[:, None], matter.pos_w - mouth_pos_w, 0.0)
+    shares = jnp.stack([left, eaten]) / len(matter.alive)
+    return jnp.concatenate([shares, off.sum(0) / jnp.maximum(left, 1.0)])
+
+
+def attach(pos_w: Array, quat_w: Array, local: Pose) -> tuple[Array, Array]:
+    """World pose of a frame that is fixed in another: positions [m] (..., 3), wxyz (..., 4).
+
+    Args:
+        pos_w: of the other frame [m] (..., 3).
+        quat_w: of the other frame (..., 4).
+        local: of the fixed one in it.
+    """
+    w, v = quat_w[..., :1], quat_w[..., 1:]
+    offset = jnp.broadcast_to(jnp.asarray(local.pos, jnp.float32), v.shape)
+    turned = 2.0 * jnp.cross(v, offset)
+    pos = pos_w + offset + w * turned + jnp.cross(v, turned)
+    b, c = local.quat[0], jnp.broadcast_to(jnp.asarray(local.quat[1:], jnp.float32), v.shape)
+    scalar = w * b - jnp.sum(v * c, -1, keepdims=True)
+    return pos, jnp.concatenate([scalar, w * c + b * v + jnp.cross(v, c)], -1)
+
+
+def drawn(pos_w: Array, alive: Array) -> Array:
+    """Positions for pictures: NaN where a particle is gone (n, 3)."""
+    return jnp.where(alive[:, None], pos_w, jnp.nan)

@@ -1,0 +1,1 @@
+"""Measuring policies: episodes, scores and who acts."""

@@ -1,0 +1,1 @@
+"""PPO: rollouts, updates and the agents that learn, on one device or several."""

@@ -1,0 +1,168 @@
+"""Checkpoints: the whole learner in one file, so that a killed run goes on as if nothing happened.
+
+A checkpoint holds every leaf of the learner (networks, optimiser, statistics, random key, step
+count, from which the learning rate follows) under its path in the tree, and a record of what it
+belongs to with the learning curve so far. It is restored onto a learner of the right shape. The
+worlds are not saved: a resumed run begins with fresh episodes.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from train.errors import CheckpointMismatchError, CheckpointWarning, DamagedFileError
+from agym_jax.data.npz import read_npz, write_npz
+
+FORMAT = 1
+KEEP = 3
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A restored checkpoint."""
+
+    path: Path
+    learner: Any
+    meta: dict[str, Any]
+
+
+def tree_to_arrays(tree: Any) -> dict[str, np.ndarray]:
+    """Leaves of a tree by their path, such as ``params/policy/params/hidden_0/kernel``."""
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    return {
+        jax.tree_util.keystr(path, simple=True, separator="/"): np.asarray(leaf)
+        for path, leaf in leaves
+    }
+
+
+def arrays_to_tree(arrays: Mapping[str, np.ndarray], template: Any) -> Any:
+    """The opposite of ``tree_to_arrays``.
+
+    Args:
+        arrays: path -> array.
+        template: tree of the wanted structure, shapes and types (arrays or ShapeDtypeStructs).
+
+    Raises:
+        CheckpointMismatchError: names, shapes or types differ; lists the first few.
+    """
+    paths, structure = jax.tree_util.tree_flatten_with_path(template)
+    wanted = {jax.tree_util.keystr(p, simple=True, separator="/"): leaf for p, leaf in paths}
+    faults = [f"{name} is missing" for name in wanted if name not in arrays]
+    faults += [f"{name} is not expected" for name in arrays if name not in wanted]
+    for name, want in wanted.items():
+        have = arrays.get(name)
+        if have is None:
+            continue
+        if have.shape != want.shape or have.dtype != want.dtype:
+            faults.append(
+                f"{name} is {have.dtype}{list(have.shape)}, not {want.dtype}{list(want.shape)}"
+            )
+    if faults:
+        more = f" and {len(faults) - 3} more" if len(faults) > 3 else ""
+        raise CheckpointMismatchError("; ".join(faults[:3]) + more)
+    return jax.tree_util.tree_unflatten(structure, [jnp.asarray(arrays[n]) for n in wanted])
+
+
+def checkpoint_files(folder: Path) -> list[Path]:
+    """Checkpoints in a folder, newest first."""
+    return sorted(folder.glob("step_*.npz"), reverse=True)
+
+
+def save_checkpoint(folder: Path, learner: Any, meta: Mapping[str, Any]) -> Path:
+    """Write a checkpoint and delete all but the newest few.
+
+    Args:
+        folder: where checkpoints lie; it exists.
+        learner: tree with a leaf ``env_steps``.
+        meta: ``belongs`` (what the checkpoint fits), ``curve`` and whatever else, for JSON.
+
+    Returns:
+        The file.
+    """
+    learner = jax.device_get(learner)
+    path = folder / f"step_{int(learner.env_steps):012d}.npz"
+    write_npz(path, tree_to_arrays(learner), {"format": FORMAT, **meta})
+    for old in checkpoint_files(folder)[KEEP:]:
+        old.unlink(missing_ok=True)
+    for part in folder.glob(".step_*"):  # left by a run that was killed while it wrote
+        part.unlink(missing_ok=True)
+    return path
+
+
+def load_checkpoint(path: Path, template: Any, belongs: Mapping[str, Any]) -> Checkpoint:
+    """Read one checkpoint.
+
+    Args:
+        path: the file.
+        template: learner of the right structure.
+        belongs: name -> value of everything that must agree (environment, layout, networks).
+
+    Raises:
+        DamagedFileError: the file is not whole.
+        CheckpointMismatchError: it belongs to something else; says to what, and what would fit.
+    """
+    arrays, meta = read_npz(path)
+    advice = (
+        "Continue with the settings of the checkpoint, choose another --save-dir, or start over "
+        "with --fresh (which moves the old run aside)."
+    )
+    if meta.get("format") != FORMAT:
+        raise CheckpointMismatchError(
+            f"{path} has checkpoint format {meta.get('format')}, this version reads {FORMAT}. {advice}"
+        )
+    theirs = {"trainer": "ppo", **meta["belongs"]}
+    trainer = belongs.get("trainer", theirs["trainer"])
+    if theirs["trainer"] != trainer:
+        raise CheckpointMismatchError(
+            f"{path} is of a run of train.{theirs['trainer']}, this is train.{trainer}. Continue it "
+            f"with python -m train.{theirs['trainer']}, choose another --save-dir, or start over "
+            f"with --fresh (which moves the old run aside)."
+        )
+    differ = [
+        f"{name} is {theirs.get(name)!r}, this run has {value!r}"
+        for name, value in belongs.items()
+        if theirs.get(name) != value
+    ]
+    if differ:
+        raise CheckpointMismatchError(f"{path} does not fit: {'; '.join(differ)}. {advice}")
+    try:
+        return Checkpoint(path, arrays_to_tree(arrays, template), meta)
+    except CheckpointMismatchError as error:
+        raise CheckpointMismatchError(f"{path} does not fit: {error}. {advice}") from None
+
+
+def load_newest(folder: Path, template: Any, belongs: Mapping[str, Any]) -> Checkpoint | None:
+    """The newest checkpoint that is whole; damaged ones are skipped with a ``CheckpointWarning``.
+
+    Args:
+        folder: where checkpoints lie; it may not exist.
+        template: learner of the right structure.
+        belongs: see ``load_checkpoint``.
+
+    Returns:
+        The checkpoint, or None if there is none.
+
+    Raises:
+        DamagedFileError: there are checkpoints, and all are damaged.
+        CheckpointMismatchError: the newest whole one belongs to something else.
+    """
+    files = checkpoint_files(folder)
+    for path in files:
+        try:
+            return load_checkpoint(path, template, belongs)
+        except DamagedFileError as error:
+            warnings.warn(f"{error} Using the one before it.", CheckpointWarning, stacklevel=2)
+    if files:
+        raise DamagedFileError(
+            f"All {len(files)} checkpoints in {folder} are damaged. Start over with --fresh, which "
+            f"moves them aside."
+        )
+    return None

@@ -1,0 +1,80 @@
+"""What a training run leaves, and the line that says so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from train.configs import LearnConfig
+from train.runs.curve import Row
+from agym_jax.policy.policy import Policy
+from train.runs.progress import duration
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What a run leaves.
+
+    Attributes:
+        policies: the trained policies by agent: "robot", "person", or "joint" for both at once.
+        learner: the learner, for going on in Python.
+        config: settings with everything automatic filled in.
+        curve: rows of the learning curve, of all sessions.
+        env_steps: environment steps, of all sessions.
+        session_steps: environment steps of this session.
+        compile_seconds: time to trace and compile.
+        train_seconds: time of this session's training, with logging and saving.
+        nan_steps: steps of this session in which a world went non-finite.
+        interrupted: stopped by Ctrl-C, SIGTERM or ``on_log`` before the end.
+        folder: where the files are; None if nothing was written.
+    """
+
+    policies: Mapping[str, Policy]
+    learner: Any
+    config: LearnConfig
+    curve: list[Row]
+    env_steps: int
+    session_steps: int
+    compile_seconds: float
+    train_seconds: float
+    nan_steps: int
+    interrupted: bool
+    folder: Path | None
+
+    @property
+    def policy(self) -> Policy:
+        """The robot's policy, or the one for both."""
+        return next(iter(self.policies.values()))
+
+    @property
+    def steps_per_second(self) -> float:
+        """Environment steps per second of training, without compiling."""
+        return self.session_steps / max(self.train_seconds, 1e-9)
+
+    def last(self, name: str) -> float | None:
+        """The last known value of a column of the curve."""
+        return next((row[name] for row in reversed(self.curve) if row.get(name) is not None), None)
+
+
+def summary(result: TrainResult) -> str:
+    """One line, and where the files are."""
+
+    def shown(name: str, form: str) -> str:
+        value = result.last(name)
+        return "unknown" if value is None else format(value, form)
+
+    config = result.config
+    word = "stopped at" if result.interrupted else "trained"
+    nan = f", {result.nan_steps} world-steps went NaN" if result.nan_steps else ""
+    text = (
+        f"{config.env_name}: {word} {result.env_steps:,} steps, return {shown('return', '.1f')}, "
+        f"success {shown('success', '.0%')}, force {shown('force', '.2f')} N{nan}. "
+        f"Compiled in {duration(result.compile_seconds)}, trained {result.session_steps:,} steps "
+        f"in {duration(result.train_seconds)} ({result.steps_per_second:,.0f} steps/s)."
+    )
+    if result.folder:
+        what = "Policy" if len(result.policies) == 1 else "Policies"
+        text += f"\n{what}, curve.png, curve.jsonl, checkpoints: {result.folder}"
+    return text

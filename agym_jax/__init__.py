@@ -1,4 +1,4 @@
-"""Robots that help people, by the thousand: Assistive Gym in JAX and MuJoCo MJX.
+"""Robots that help humans, by the thousand: Assistive Gym in JAX and MuJoCo MJX.
 
 >>> import agym_jax
 >>> env = agym_jax.make("ScratchItchJaco-v0")
@@ -23,15 +23,15 @@ __all__ = ["AgymError", "Env", "State", "list_envs", "make", "register_envs"]
 _cache.enable()
 
 
-def make(name: str, impl: str = "auto", people: Any = None, num_worlds: int = 1) -> Env:
+def make(name: str, impl: str = "auto", humans: Any = None, num_envs: int = 1) -> Env:
     """Build an environment.
 
     Args:
         name: its id, such as ``"ScratchItchJaco-v0"``; ``list_envs()`` has them all.
         impl: physics: MJX in ``"jax"`` (anywhere) or ``"warp"`` (NVIDIA GPUs), ``"auto"`` for the one that
-            fits, or ``"native"``: C MuJoCo, for one world on the CPU, not to be jitted or vmapped.
-        people: an ``agym_jax.human.population.People``, if not Assistive Gym's men and women.
-        num_worlds: how many worlds will be stepped together; sizes Warp's buffers.
+            fits, or ``"native"``: C MuJoCo, for one environment on the CPU, not to be jitted or vmapped.
+        humans: an ``agym_jax.human.population.Population``, if not Assistive Gym's men and women.
+        num_envs: how many environments will be stepped together; sizes Warp's buffers.
             ``agym_jax.wrappers.vectorize`` sets it for you.
 
     Raises:
@@ -42,7 +42,7 @@ def make(name: str, impl: str = "auto", people: Any = None, num_worlds: int = 1)
     from agym_jax.registry import parse
 
     recipe = parse(name)
-    return AssistiveEnv(recipe.task, recipe.robot, recipe.active, impl, people, num_worlds)
+    return AssistiveEnv(recipe.task, recipe.robot, recipe.active, impl, humans, num_envs)
 
 
 def list_envs() -> list[str]:

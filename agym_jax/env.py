@@ -1,6 +1,6 @@
 """THE environment: control -> physics -> sense -> task -> observe, in that order, once.
 
-One class for every task, robot and person. ``reset`` and ``step`` are pure and written for one world;
+One class for every task, robot and person. ``reset`` and ``step`` are pure and written for one environment;
 ``jax.vmap`` them, or let ``agym_jax.wrappers.vectorize`` do it with auto-reset. The physics is one of
 those in ``physics``; with one that JAX cannot trace, the parts around it are compiled by themselves.
 
@@ -23,16 +23,16 @@ import numpy as np
 from jax import Array
 
 from agym_jax import observe
-from agym_jax.sim.control import Driver, Orders
-from agym_jax.sim.episode import Drawn, draw_episode, episode_of, geom_sizes
-from agym_jax.errors import ActionError
-from agym_jax.human import population as draw
-from agym_jax.sim.physics import build_physics, check_traceable, choose_impl
 from agym_jax.data.banks import load_bank
+from agym_jax.errors import ActionError
+from agym_jax.human import population
 from agym_jax.jax_settings import full_precision
 from agym_jax.rendering.raycast import Marker
+from agym_jax.sense import ContactSums, Motion, Sensed, at_rest, no_contacts, sense
+from agym_jax.sim.control import Controller, ControlTargets
+from agym_jax.sim.episode import EpisodeSample, geom_sizes, make_episode, sample_episode
+from agym_jax.sim.physics import build_physics, check_traceable, choose_impl
 from agym_jax.sim.scene import build_scene, compose, draw_surfaces
-from agym_jax.sense import Motion, Sensed, Touch, at_rest, no_touch, sense
 from agym_jax.spec import Furnished, Pose, Privileged, RobotSpec, Surface, Surfaced, Task
 from agym_jax.state import Episode, State, select, strong
 
@@ -45,9 +45,9 @@ class AssistiveEnv:
         robot: who helps.
         active: whether the person acts too (AG's ``...Human-v0``).
         impl: ``"jax"``, ``"warp"``, or ``"auto"``: Warp on an NVIDIA GPU with warp-lang, else JAX;
-            ``"native"`` is C MuJoCo, for one world.
-        people: population that episodes draw from.
-        num_worlds: how many worlds will be stepped together: sizes Warp's buffers.
+            ``"native"`` is C MuJoCo, for one environment.
+        humans: population that episodes draw from.
+        num_envs: how many environments will be stepped together: sizes Warp's buffers.
     """
 
     def __init__(
@@ -56,25 +56,25 @@ class AssistiveEnv:
         robot: RobotSpec,
         active: bool = False,
         impl: str = "auto",
-        people: draw.People | None = None,
-        num_worlds: int = 1,
+        humans: population.Population | None = None,
+        num_envs: int = 1,
     ):
         self.task, self.robot, self.active = task, robot, active
-        self.people = people or draw.People()
+        self.humans = humans or population.Population()
         self.impl = choose_impl(impl)
-        self.num_worlds = num_worlds
+        self.num_envs = num_envs
         self.scene = build_scene(task, robot, active)
         self.name = f"{task.name}{robot.name}{'Human' if active else ''}-v0"
         self.episode_length = task.episode_length
-        self.driver = Driver.of(self.scene, task, active)
+        self.controller = Controller.of(self.scene, task, active)
         self.physics = build_physics(
-            self.impl, self.scene, self.driver, task.control.frame_skip, num_worlds
+            self.impl, self.scene, self.controller, task.control.frame_skip, num_envs
         )
         self._bank = load_bank(task, robot)
         whole = self.physics.traceable  # then the caller compiles ``reset`` and ``step``
         part: Callable[[Any], Any] = (lambda function: function) if whole else jax.jit
         self._draw, self._meet = part(self._draw_episode), part(self._first_look)
-        self._order, self._judge = part(self.driver.orders), part(self._judgement)
+        self._order, self._judge = part(self.controller.targets), part(self._judgement)
         if whole:
             _introduce_to_brax()
 
@@ -84,13 +84,13 @@ class AssistiveEnv:
     def action_sizes(self) -> dict[str, int]:
         """Entries of the action that belong to each agent, in order."""
         sizes = {"robot": len(self.scene.index.robot_joint)}
-        return {**sizes, "person": len(self.scene.moving)} if self.active else sizes
+        return {**sizes, "human": len(self.scene.moving)} if self.active else sizes
 
     @property
     def observation_sizes(self) -> dict[str, int]:
         """Columns of the observation that belong to each agent, in order."""
         sizes = {"robot": observe.size(self.task.robot_obs)}
-        return {**sizes, "person": observe.size(self.task.person_obs)} if self.active else sizes
+        return {**sizes, "human": observe.size(self.task.human_obs)} if self.active else sizes
 
     @property
     def action_size(self) -> int:
@@ -103,14 +103,14 @@ class AssistiveEnv:
         return sum(self.observation_sizes.values())
 
     @property
-    def hidden_size(self) -> int:
-        """Length of what ``hidden`` tells."""
-        return self.task.hidden_size if isinstance(self.task, Privileged) else 0
+    def privileged_obs_size(self) -> int:
+        """Length of what ``privileged_obs`` tells."""
+        return self.task.privileged_obs_size if isinstance(self.task, Privileged) else 0
 
     @property
     def layout_version(self) -> str:
         """Hash of the observation's names and sizes."""
-        records = [self.task.robot_obs, *([self.task.person_obs] if self.active else [])]
+        records = [self.task.robot_obs, *([self.task.human_obs] if self.active else [])]
         return observe.layout_version(*records)
 
     @property
@@ -128,9 +128,9 @@ class AssistiveEnv:
         """Length of a control step [s]."""
         return self.task.control.period
 
-    def sized_for(self, num_worlds: int) -> AssistiveEnv:
-        """The same environment with Warp's buffers for so many worlds at once."""
-        return AssistiveEnv(self.task, self.robot, self.active, self.impl, self.people, num_worlds)
+    def sized_for(self, num_envs: int) -> AssistiveEnv:
+        """The same environment with Warp's buffers for so many environments at once."""
+        return AssistiveEnv(self.task, self.robot, self.active, self.impl, self.humans, num_envs)
 
     # -- the two pure functions ----------------------------------------------------------------
 
@@ -141,10 +141,10 @@ class AssistiveEnv:
         Args:
             rng: PRNG key, typed or raw.
         """
-        return self._begin(self.physics.blank(), rng)
+        return self._begin(self.physics.make_data(), rng)
 
     @full_precision
-    def restart(self, state: State, where: Array) -> State:
+    def reset_where(self, state: State, where: Array) -> State:
         """Begin a new episode if ``where``; cheap, and safe for all implementations.
 
         Args:
@@ -160,7 +160,7 @@ class AssistiveEnv:
         """One control step of 0.1 s.
 
         Args:
-            state: of one world.
+            state: of one environment.
             action: in [-1, 1], clipped: robot's joints, then the active person's (n_action,).
 
         Raises:
@@ -169,11 +169,11 @@ class AssistiveEnv:
         action = self._checked(action)
         check_traceable(self.physics, state.data.qpos, action)
         # control
-        orders = self._order(state.episode, state.data.qpos, action)
+        targets = self._order(state.episode, state.data.qpos, action)
         # physics
-        data, touch, motion = self.physics.simulate(state.data, state.episode, orders)
+        data, touch, motion = self.physics.step(state.data, state.episode, targets)
         # sense -> task -> observe
-        judged = self._judge(data, touch, motion, state.task, state.episode, orders)
+        judged = self._judge(data, touch, motion, state.task, state.episode, targets)
         return state.replace(
             data=data,
             obs=judged.obs,
@@ -181,25 +181,29 @@ class AssistiveEnv:
             done=judged.done,
             metrics={**state.metrics, **judged.metrics},
             task=judged.task,
-            episode=dataclasses.replace(state.episode, person_target=orders.hold, step=judged.step),
+            episode=dataclasses.replace(state.episode, human_target=targets.hold, step=judged.step),
         )
 
     @full_precision
-    def hidden(self, state: State) -> Array:
+    def privileged_obs(self, state: State) -> Array:
         """What rewards to come depend on and nobody observes, for value functions (hidden_size,)."""
-        return self.task.hidden(state.task) if isinstance(self.task, Privileged) else jnp.zeros(0)
+        return (
+            self.task.privileged_obs(state.task)
+            if isinstance(self.task, Privileged)
+            else jnp.zeros(0)
+        )
 
     def programs(self) -> tuple[Callable[[Array], State], Callable[[State, Array], State]]:
-        """``reset`` and ``step`` of one world, compiled as far as the physics allows."""
+        """``reset`` and ``step`` of one environment, compiled as far as the physics allows."""
         whole = self.physics.traceable
         return (jax.jit(self.reset), jax.jit(self.step)) if whole else (self.reset, self.step)
 
     # -- around the physics ---------------------------------------------------------------------
 
-    def _draw_episode(self, rng: Array) -> tuple[Drawn, Array, Array]:
+    def _draw_episode(self, rng: Array) -> tuple[EpisodeSample, Array, Array]:
         """What makes an episode, and the keys of the task and of what comes after."""
         *keys, key_task, key = jax.random.split(rng, 5)
-        drawn = draw_episode(keys, self.scene, self.task.person, self.people, self._bank)
+        drawn = sample_episode(keys, self.scene, self.task.human, self.humans, self._bank)
         return strong((drawn, key_task, key))
 
     def _begin(
@@ -209,10 +213,10 @@ class AssistiveEnv:
         check_traceable(self.physics, rng)
         drawn, key_task, key = self._draw(rng)
         xp = jnp if self.physics.traceable else np
-        episode = strong(episode_of(self.scene, self.task.person, drawn, xp))
+        episode = strong(make_episode(self.scene, self.task.human, drawn, xp))
         if where is not None and old is not None:
             episode = select(where, episode, old.episode)
-        data = self.physics.place(data, episode, where)
+        data = self.physics.reset(data, episode, where)
         task, obs, metrics = self._meet(key_task, data, episode)
         if where is not None and old is not None:
             task, obs = select(where, (task, obs), (old.task, old.obs))
@@ -224,7 +228,7 @@ class AssistiveEnv:
         """The task as it begins, what is seen of it, and metrics of nothing."""
         index = self.scene.index
         still = at_rest(index, data, self.task.control.frame_skip)
-        sensed = self._sense(data, no_touch(index), still, episode)
+        sensed = self._sense(data, no_contacts(index), still, episode)
         task = self.task.init(key, sensed)
         _, events = self.task.advance(task, sensed)
         terms = self.task.rewards(task, events, sensed, jnp.zeros(self.action_size))
@@ -233,12 +237,18 @@ class AssistiveEnv:
         return strong((task, self._observe(task, sensed), metrics))
 
     def _judgement(
-        self, data: Any, touch: Touch, motion: Motion, task: Any, episode: Episode, orders: Orders
+        self,
+        data: Any,
+        touch: ContactSums,
+        motion: Motion,
+        task: Any,
+        episode: Episode,
+        targets: ControlTargets,
     ) -> _Judged:
         """Sense -> task -> observe, and the guard against NaN."""
         sensed = self._sense(data, touch, motion, episode)
         task, events = self.task.advance(task, sensed)
-        rewards = self.task.rewards(task, events, sensed, orders.action)
+        rewards = self.task.rewards(task, events, sensed, targets.action)
         obs = self._observe(task, sensed)
         bad = ~(
             jnp.all(jnp.isfinite(data.qpos)) & jnp.all(jnp.isfinite(data.qvel))
@@ -256,22 +266,22 @@ class AssistiveEnv:
         )
         return strong(judged)
 
-    def _sense(self, data: Any, touch: Touch, motion: Motion, episode: Episode) -> Sensed:
+    def _sense(self, data: Any, touch: ContactSums, motion: Motion, episode: Episode) -> Sensed:
         sizes = geom_sizes(self.scene, episode)
-        return sense(self.scene.index, data, touch, motion, episode.person.dims, sizes)
+        return sense(self.scene.index, data, touch, motion, episode.human.dims, sizes)
 
     def _observe(self, task: Any, sensed: Sensed) -> Array:
-        robot, person = self.task.observe(task, sensed)
-        records = [robot, person] if self.active else [robot]
+        robot, human = self.task.observe(task, sensed)
+        records = [robot, human] if self.active else [robot]
         return jnp.concatenate([observe.flatten(r) for r in records])
 
     def _metrics(self, task: Any, rewards: dict, sensed: Sensed, data: Any, bad: Array) -> dict:
         clean = lambda x: jnp.where(bad, 0.0, x).astype(jnp.float32)  # noqa: E731
         return {
             **{f"reward/{k}": v for k, v in rewards.items()},
-            "force/on_person": clean(sensed.force_on_person),
-            "force/tool_on_person": clean(sensed.tool_on_person),
-            "force/robot_on_person": clean(sensed.robot_on_person),
+            "force/on_human": clean(sensed.force_on_human),
+            "force/tool_on_human": clean(sensed.tool_on_human),
+            "force/robot_on_human": clean(sensed.robot_on_human),
             "force/tool": clean(sum(t.force for t in sensed.tools)),
             "success": clean(self.task.success(task)),
             "nan": bad.astype(jnp.float32),
@@ -294,13 +304,13 @@ class AssistiveEnv:
     # -- pictures --------------------------------------------------------------------------------
 
     def to_mujoco(
-        self, state: State, looks: str = "primitives"
+        self, state: State, visuals: str = "primitives"
     ) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """One world as C MuJoCo's model and data, with everything that people look at.
+        """One environment as C MuJoCo's model and data, with everything that people look at.
 
         Args:
-            state: of one world (index a batch first, with ``jax.tree.map(lambda x: x[i], state)``).
-            looks: what the robot looks like: ``"primitives"``, or ``"meshes"`` of other packages, see
+            state: of one environment (index a batch first, with ``jax.tree.map(lambda x: x[i], state)``).
+            visuals: what the robot looks like: ``"primitives"``, or ``"meshes"`` of other packages, see
                 ``agym_jax.rendering.meshes``.
 
         Raises:
@@ -308,13 +318,13 @@ class AssistiveEnv:
             MissingExtraError: the meshes' package is not installed: ``pip install "agym_jax[meshes]"``.
             MeshError: this robot has no meshes, or they do not fit it.
         """
-        p, place = state.episode.person, state.episode.placement
+        p, place = state.episode.human, state.episode.placement
         (x, y, z), (qw, qx, qy, qz) = place.base_pos.tolist(), place.base_quat.tolist()
         base = Pose((x, y, z), (qw, qx, qy, qz))
         pose = jax.tree.map(np.asarray, state.episode.pose)
         model = compose(
             self.task, self.robot, self.active, float(p.sex), float(p.stature), float(p.girth),
-            float(p.limit_scale), pose, base, visual=True, looks=looks,
+            float(p.limit_scale), pose, base, visual=True, visuals=visuals,
             surfaces=self._surfaces(state),
         )  # fmt: skip
         if isinstance(self.task, Furnished):
@@ -325,18 +335,18 @@ class AssistiveEnv:
         return model, data
 
     def write_mujoco(self, state: State, data: mujoco.MjData, model: mujoco.MjModel) -> None:
-        """Write the pose of one world into C MuJoCo's data of ``to_mujoco``'s model."""
+        """Write the pose of one environment into C MuJoCo's data of ``to_mujoco``'s model."""
         data.qpos[:], data.qvel[:] = np.asarray(state.data.qpos), np.asarray(state.data.qvel)
         data.ctrl[:] = np.asarray(state.data.ctrl)
         mujoco.mj_forward(model, data)
         draw_surfaces(data, self._surfaces(state))
 
     def _surfaces(self, state: State) -> list[Surface]:
-        """What the task draws besides points; one world's."""
+        """What the task draws besides points; one environment's."""
         return self.task.surfaces(state.task) if isinstance(self.task, Surfaced) else []
 
     def markers(self, state: State) -> list[Marker]:
-        """What the task draws into pictures; one world's."""
+        """What the task draws into pictures; one environment's."""
         return [
             Marker(pos, radius, colour)
             for places, radius, colour in self.task.markers(state.task)

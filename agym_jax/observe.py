@@ -6,7 +6,7 @@ Assistive Gym they come from. Columns that several records have in common are a 
     @observation(source="scratch_itch.py:74")
     class RobotObs:
         tool_pos_torso: Array = column(3, "m", "world axes, from the torso")
-        helped_arm: ArmFromTorso = part(ArmFromTorso)
+        assisted_arm: ArmFromTorso = part(ArmFromTorso)
 """
 
 from __future__ import annotations
@@ -187,7 +187,7 @@ def main(argv: list[str]) -> int:
         return 1
     records = {"Robot": recipe.task.robot_obs}
     if recipe.active:
-        records["Person"] = recipe.task.person_obs
+        records["Human"] = recipe.task.human_obs
     for title, record in records.items():
         print(f"{title}: {size(record)} columns\n\n{table(record)}\n")
     return 0

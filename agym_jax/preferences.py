@@ -15,7 +15,7 @@ from agym_jax.spec import Preferences
 def preference_terms(
     weights: Preferences,
     tool_speed: jax.Array,
-    force_on_person: jax.Array,
+    force_on_human: jax.Array,
     force_at_target: jax.Array,
 ) -> dict[str, jax.Array]:
     """Weighted preference terms, each at most 0.
@@ -23,14 +23,13 @@ def preference_terms(
     Args:
         weights: of the terms.
         tool_speed: of the tool or end effector [m/s] ().
-        force_on_person: of tool and robot together [N] ().
+        force_on_human: of tool and robot together [N] ().
         force_at_target: of the tool where help is wanted [N] ().
     """
     high = jnp.where(force_at_target < 10.0, 0.0, force_at_target)
     return {
         "preference_velocity": -weights.velocity * tool_speed,
-        "preference_force_nontarget": -weights.force_nontarget
-        * (force_on_person - force_at_target),
+        "preference_force_nontarget": -weights.force_nontarget * (force_on_human - force_at_target),
         "preference_high_forces": -weights.high_forces * high,
     }
 

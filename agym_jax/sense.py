@@ -1,6 +1,6 @@
 """What one control step shows: the only reader of a simulator's data.
 
-Works on one world of ``mjx.Data`` and, because the field names are the same, of ``native.NativeData``
+Works on one environment of ``mjx.Data`` and, because the field names are the same, of ``native.NativeData``
 or C ``MjData``.
 Forces are normal forces of contact sensors, averaged over the physics steps of a control step.
 
@@ -18,14 +18,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from agym_jax.human.anthropometry import Dims
 from agym_jax.math3d import capsule_gap
 from agym_jax.sim.index import Index, ToolIndex
-from agym_jax.human.anthropometry import Dims
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class ToolTouch:
+class ToolContactSums:
     """Sums of one tool's contact sensors over physics steps."""
 
     force: Array  # normal force of each tool-person pair [N]               (n_touch,)
@@ -35,11 +35,11 @@ class ToolTouch:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Touch:
+class ContactSums:
     """Sums of the contact sensors over physics steps."""
 
-    tools: tuple[ToolTouch, ...]
-    robot_person: Array  # [N]                                              ()
+    tools: tuple[ToolContactSums, ...]
+    robot_human: Array  # [N]                                              ()
 
 
 @jax.tree_util.register_dataclass
@@ -54,7 +54,7 @@ class ToolSensed:
     touch_force: Array  # normal force of each tool-person contact [N]      (n_touch,)
     touch_pos_w: Array  # where; the origin when there is none [m]          (n_touch, 3)
     touch_working: Array  # 1 where the tool's working part touches         (n_touch,)
-    on_person: Array  # sum [N]                                             ()
+    on_human: Array  # sum [N]                                             ()
     force: Array  # all contacts of the tool [N]                            ()
 
 
@@ -77,8 +77,8 @@ class Sensed:
     tools: tuple[ToolSensed, ...]  # one for each arm, in action order
     arm_angles: Array  # of the robot's arms [rad]                          (n_arm,)
     torso_pos_w: Array  # reference point of the robot [m]                  (3,)
-    robot_on_person: Array  # links of the robot on the person [N]          ()
-    person_angles: Array  # of the moving joints [rad]                      (n_person,)
+    robot_on_human: Array  # links of the robot on the person [N]          ()
+    human_angles: Array  # of the moving joints [rad]                      (n_person,)
     link_pos_w: dict[str, Array]  # link -> its (last) joint [m]            (3,)
     link_rot_w: dict[str, Array]  # link -> rotation matrix                 (3, 3)
     link_quat_w: dict[str, Array]  # link -> the same, wxyz                 (4,)
@@ -91,17 +91,17 @@ class Sensed:
         return self.tools[0]
 
     @property
-    def tool_on_person(self) -> Array:
+    def tool_on_human(self) -> Array:
         """Normal force of all tools on the person [N] ()."""
-        return jnp.sum(jnp.stack([t.on_person for t in self.tools]))
+        return jnp.sum(jnp.stack([t.on_human for t in self.tools]))
 
     @property
-    def force_on_person(self) -> Array:
+    def force_on_human(self) -> Array:
         """Normal force of robot and tools on the person [N] ()."""
-        return self.tool_on_person + self.robot_on_person
+        return self.tool_on_human + self.robot_on_human
 
     @property
-    def person_pos_w(self) -> Array:
+    def human_pos_w(self) -> Array:
         """The chest [m] (3,)."""
         return self.link_pos_w["chest"]
 
@@ -113,14 +113,16 @@ class Sensed:
         return self.link_pos_w["head"] + self.link_rot_w["head"] @ local
 
 
-def no_touch(index: Index) -> Touch:
+def no_contacts(index: Index) -> ContactSums:
     """The empty sum."""
     zero = jnp.float32(0.0)
-    counts = [len(t.on_person) for t in index.tools]
-    return Touch(tuple(ToolTouch(jnp.zeros(n), jnp.zeros((n, 3)), zero) for n in counts), zero)
+    counts = [len(t.on_human) for t in index.tools]
+    return ContactSums(
+        tuple(ToolContactSums(jnp.zeros(n), jnp.zeros((n, 3)), zero) for n in counts), zero
+    )
 
 
-def add_touch(index: Index, touch: Touch, sensordata: Array) -> Touch:
+def add_contacts(index: Index, touch: ContactSums, sensordata: Array) -> ContactSums:
     """Add one physics step's contact sensors.
 
     Args:
@@ -128,10 +130,10 @@ def add_touch(index: Index, touch: Touch, sensordata: Array) -> Touch:
         touch: the sum so far.
         sensordata: of ``Data`` (nsensordata,).
     """
-    return jax.tree.map(jnp.add, touch, read_touch(index, sensordata))
+    return jax.tree.map(jnp.add, touch, read_contacts(index, sensordata))
 
 
-def read_touch(index: Index, sensordata: Any, xp: Any = jnp) -> Touch:
+def read_contacts(index: Index, sensordata: Any, xp: Any = jnp) -> ContactSums:
     """The contact sensors of one physics step.
 
     Args:
@@ -140,23 +142,23 @@ def read_touch(index: Index, sensordata: Any, xp: Any = jnp) -> Touch:
         xp: numpy or jax.numpy.
 
     Returns:
-        The fields of ``Touch``, each with the leading axes of ``sensordata``.
+        The fields of ``ContactSums``, each with the leading axes of ``sensordata``.
     """
 
     def total(sensors: np.ndarray) -> Any:
         return xp.sum(xp.abs(sensordata[..., sensors]), axis=-1)
 
-    def read(tool: ToolIndex) -> ToolTouch:
-        force = xp.abs(sensordata[..., tool.on_person])
-        pos = sensordata[..., tool.on_person[:, None] + np.arange(3, 6)]
-        return ToolTouch(force=force, moment=force[..., None] * pos, seat=total(tool.on_seat))
+    def read(tool: ToolIndex) -> ToolContactSums:
+        force = xp.abs(sensordata[..., tool.on_human])
+        pos = sensordata[..., tool.on_human[:, None] + np.arange(3, 6)]
+        return ToolContactSums(force=force, moment=force[..., None] * pos, seat=total(tool.on_seat))
 
-    return Touch(tuple(read(tool) for tool in index.tools), total(index.robot_person))
+    return ContactSums(tuple(read(tool) for tool in index.tools), total(index.robot_human))
 
 
 def moment(index: Index, data: Any, xp: Any = jnp) -> Motion:
     """One moment of a motion: no leading axis."""
-    tool, bodies = index.tools[0], dict(zip(index.links, index.person_body, strict=True))
+    tool, bodies = index.tools[0], dict(zip(index.links, index.human_body, strict=True))
     xpos, xmat = xp.array(data.xpos), xp.array(data.xmat).reshape(-1, 3, 3)
     return Motion(
         tool_pos_w=xp.array(data.site_xpos)[tool.tip],
@@ -172,12 +174,14 @@ def at_rest(index: Index, data: Any, n_steps: int) -> Motion:
     return jax.tree.map(still, moment(index, data))
 
 
-def sense(index: Index, data: Any, touch: Touch, motion: Motion, dims: Dims, sizes: Any) -> Sensed:
-    """Read one world.
+def sense(
+    index: Index, data: Any, touch: ContactSums, motion: Motion, dims: Dims, sizes: Any
+) -> Sensed:
+    """Read one environment.
 
     Args:
         index: of the scene.
-        data: ``mjx.Data`` of one world (or ``MjData``) whose kinematics are up to date.
+        data: ``mjx.Data`` of one environment (or ``MjData``) whose kinematics are up to date.
         touch: sums over the n physics steps of the control step.
         motion: during them.
         dims: sizes of the person.
@@ -185,7 +189,7 @@ def sense(index: Index, data: Any, touch: Touch, motion: Motion, dims: Dims, siz
     """
     n_steps = len(motion.tool_pos_w) - 1
     xpos, xmat = jnp.asarray(data.xpos), jnp.asarray(data.xmat).reshape(-1, 3, 3)
-    bodies = dict(zip(index.links, index.person_body, strict=True))
+    bodies = dict(zip(index.links, index.human_body, strict=True))
     return Sensed(
         tools=tuple(
             _sense_tool(index, i, data, t, n_steps, jnp.asarray(sizes))
@@ -193,8 +197,8 @@ def sense(index: Index, data: Any, touch: Touch, motion: Motion, dims: Dims, siz
         ),
         arm_angles=jnp.asarray(data.qpos)[index.robot_qpos],
         torso_pos_w=jnp.asarray(data.site_xpos)[index.torso_site],
-        robot_on_person=touch.robot_person / n_steps,
-        person_angles=jnp.asarray(data.qpos)[index.person_qpos],
+        robot_on_human=touch.robot_human / n_steps,
+        human_angles=jnp.asarray(data.qpos)[index.human_qpos],
         link_pos_w={name: xpos[b] for name, b in bodies.items()},
         link_rot_w={name: xmat[b] for name, b in bodies.items()},
         link_quat_w={name: jnp.asarray(data.xquat)[b] for name, b in bodies.items()},
@@ -204,7 +208,7 @@ def sense(index: Index, data: Any, touch: Touch, motion: Motion, dims: Dims, siz
 
 
 def _sense_tool(
-    index: Index, tool: ToolIndex, data: Any, touch: ToolTouch, n_steps: int, sizes: Array
+    index: Index, tool: ToolIndex, data: Any, touch: ToolContactSums, n_steps: int, sizes: Array
 ) -> ToolSensed:
     tip = jnp.asarray(data.site_xpos)[tool.tip]
     axis = jnp.asarray(data.xaxis)[tool.joints]
@@ -215,17 +219,17 @@ def _sense_tool(
     capsule = lambda ids: (centre[ids], along[ids], sizes[ids, 0])  # noqa: E731
     force = touch.force / n_steps
     where = touch.moment / jnp.where(touch.force > 0, touch.force, 1.0)[:, None]
-    on_person = jnp.sum(force)
+    on_human = jnp.sum(force)
     return ToolSensed(
         pos_w=tip,
         quat_w=_quat_mul(jnp.asarray(data.xquat)[tool.body], tool.quat),
         vel_w=jnp.sum(jnp.cross(axis, tip - anchor) * speed[:, None], axis=0),
-        gap=capsule_gap(capsule(tool.geoms), capsule(index.person_geom)),
+        gap=capsule_gap(capsule(tool.geoms), capsule(index.human_geom)),
         touch_force=force,
         touch_pos_w=where,
         touch_working=jnp.asarray(tool.working),
-        on_person=on_person,
-        force=on_person + touch.seat / n_steps,
+        on_human=on_human,
+        force=on_human + touch.seat / n_steps,
     )
 
 

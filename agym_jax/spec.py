@@ -198,13 +198,13 @@ class SeatSpec:
     props: tuple[Prop, ...] = ()  # what stands around it
 
 
-Stillness = Literal["hold", "limp", "frozen", "welded"]
+PassiveMode = Literal["hold", "limp", "frozen", "welded"]
 """A person who does not act holds the pose with weak muscles, lets the limbs hang, does not move but
 for a tremor, or does not move at all."""
 
 
 @dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
-class PersonSpec:
+class HumanSpec:
     """The person's part in a task: which joints move, from which pose, and how strongly."""
 
     joints: tuple[str, ...]  # controllable joints, in action order
@@ -216,14 +216,14 @@ class PersonSpec:
     impairments: tuple[str, ...]  # drawn uniformly
     limbs: tuple[str, ...]  # person bodies that tool and robot may touch
     arm: str = "right"  # the arm that is helped
-    still: Stillness = "hold"  # what a person who does not act does
+    passive_mode: PassiveMode = "hold"  # what a person who does not act does
     postures: str = ""  # bank of settled postures that replaces ``pose``, see person.posture
     pose_range: Mapping[str, float] = field(default_factory=dict)  # joint -> uniform draw +- [rad]
     links: tuple[str, ...] = ()  # further links whose poses the task asks for
 
     def moving(self, active: bool) -> tuple[str, ...]:
         """Joints that are hinges in the scene, in action order."""
-        return () if self.still == "welded" and not active else self.joints
+        return () if self.passive_mode == "welded" and not active else self.joints
 
 
 @dataclass(frozen=True)
@@ -277,7 +277,7 @@ class Task(Protocol):
         ...
 
     @property
-    def person(self) -> PersonSpec:
+    def human(self) -> HumanSpec:
         """The person's part."""
         ...
 
@@ -292,7 +292,7 @@ class Task(Protocol):
         ...
 
     @property
-    def person_obs(self) -> type:
+    def human_obs(self) -> type:
         """Observation record of the person."""
         ...
 
@@ -330,11 +330,11 @@ class Privileged(Protocol):
     """What a task has besides if rewards to come depend on more than is observed."""
 
     @property
-    def hidden_size(self) -> int:
-        """Entries of ``hidden``."""
+    def privileged_obs_size(self) -> int:
+        """Entries of ``privileged_obs``."""
         ...
 
-    def hidden(self, state: Any) -> jax.Array:
+    def privileged_obs(self, state: Any) -> jax.Array:
         """What nobody observes; for value functions, in training only (hidden_size,)."""
         ...
 

@@ -1,4 +1,4 @@
-"""The state of one world: what ``reset`` returns and ``step`` maps to the next."""
+"""The state of one environment: what ``reset`` returns and ``step`` maps to the next."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from agym_jax.human.body import BodyFields
-from agym_jax.human.population import Person
-from agym_jax.human.pose import Pose
+from agym_jax.human.population import Human
+from agym_jax.human.pose import BodyPose
 
 
 @jax.tree_util.register_dataclass
@@ -29,19 +29,19 @@ class Placement:
 class Episode:
     """Everything that is drawn once an episode, and its clock."""
 
-    person: Person
-    pose: Pose  # how the person sits or lies
+    human: Human
+    pose: BodyPose  # how the person sits or lies
     rows: BodyFields  # the person's part of the model, rows of the scene's links
     placement: Placement
-    person_angles: jax.Array  # start angles of the moving joints [rad]        (n_person,)
-    person_target: jax.Array  # what the muscles hold, without tremor [rad]    (n_person,)
+    human_angles: jax.Array  # start angles of the moving joints [rad]        (n_person,)
+    human_target: jax.Array  # what the muscles hold, without tremor [rad]    (n_person,)
     step: jax.Array  # control steps done, int32                               ()
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class State:
-    """One world. Satisfies Brax's ``State`` in use: obs, reward, done, metrics, info, ``replace``."""
+    """One environment. Satisfies Brax's ``State`` in use: obs, reward, done, metrics, info, ``replace``."""
 
     data: Any  # mjx.Data
     obs: jax.Array  # robot's columns, then the active person's               (n_obs,)

@@ -1,4 +1,4 @@
-"""Many worlds at once, with auto-reset: every finished episode restarts as somebody else."""
+"""Many environments at once, with auto-reset: every finished episode restarts as somebody else."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from agym_jax.errors import ActionError
 
 
 class VectorEnv:
-    """A batch of worlds of one environment; ``reset`` and ``step`` are pure.
+    """A batch of environments of one environment; ``reset`` and ``step`` are pure.
 
     When an episode ends, ``step`` returns the first observation of the next one in ``obs``, and the
-    true last observation in ``info["terminal_obs"]``. ``info["truncation"]`` is 1.0 where the episode
-    ended by its length, as all of Assistive Gym's do, rather than by the NaN guard. ``info["hidden"]`` and
-    ``info["terminal_hidden"]`` tell what the environment's ``hidden`` does of the same two moments.
+    true last observation in ``info["final_observation"]``. ``info["truncation"]`` is 1.0 where the episode
+    ended by its length, as all of Assistive Gym's do, rather than by the NaN guard. ``info["privileged_obs"]`` and
+    ``info["final_privileged_obs"]`` tell what the environment's ``privileged_obs`` does of the same two moments.
     """
 
     def __init__(self, env: Any, num_envs: int):
@@ -46,22 +46,22 @@ class VectorEnv:
         """A batch of fresh episodes.
 
         Args:
-            key: one PRNG key, or one for each world.
+            key: one PRNG key, or one for each environment.
         """
         one = key.ndim == (0 if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else 1)
         keys = jax.random.split(key, self.num_envs) if one else key
         state = jax.vmap(self.env.reset)(keys)
-        hidden = jax.vmap(self.env.hidden)(state)
+        privileged_obs = jax.vmap(self.env.privileged_obs)(state)
         info = {
-            "terminal_obs": state.obs,
-            "terminal_hidden": hidden,
-            "hidden": hidden,
+            "final_observation": state.obs,
+            "final_privileged_obs": privileged_obs,
+            "privileged_obs": privileged_obs,
             "truncation": jnp.zeros(self.num_envs),
         }
         return state.replace(info=info)
 
     def step(self, state: Any, action: Array) -> Any:
-        """One control step of every world.
+        """One control step of every environment.
 
         Args:
             state: of the batch.
@@ -81,20 +81,22 @@ class VectorEnv:
         failed = state.metrics["nan"] > 0
         info = {
             **info,
-            "terminal_obs": state.obs,
-            "terminal_hidden": jax.vmap(self.env.hidden)(state),
+            "final_observation": state.obs,
+            "final_privileged_obs": jax.vmap(self.env.privileged_obs)(state),
             "truncation": (finished & ~failed).astype(jnp.float32),
         }
         state = jax.lax.cond(
             jnp.any(finished),
-            lambda s: jax.vmap(self.env.restart)(s, finished),
+            lambda s: jax.vmap(self.env.reset_where)(s, finished),
             lambda s: s,
             state,
         )
-        return state.replace(info={**info, "hidden": jax.vmap(self.env.hidden)(state)})
+        return state.replace(
+            info={**info, "privileged_obs": jax.vmap(self.env.privileged_obs)(state)}
+        )
 
     def stagger(self, state: Any, key: Array) -> Any:
-        """Put the worlds' clocks at random steps, so that episodes do not all end together.
+        """Put the environments' clocks at random steps, so that episodes do not all end together.
 
         Args:
             state: of the batch.
@@ -105,5 +107,5 @@ class VectorEnv:
 
 
 def vectorize(env: Any, num_envs: int) -> VectorEnv:
-    """``num_envs`` worlds of an environment, with auto-reset."""
+    """``num_envs`` environments of an environment, with auto-reset."""
     return VectorEnv(env, num_envs)

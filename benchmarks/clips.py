@@ -18,9 +18,9 @@ from PIL import Image, ImageDraw
 from agym_jax.errors import did_you_mean
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
-from train.evaluation.agents import find_policies, load_policies
 from train.enjoy import EnjoyConfig, Frame, Player, film
 from train.envs import active_name, make_env
+from train.evaluation.agents import find_policies, load_policies
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 CLIPS = DOCS / "images" / "clips"

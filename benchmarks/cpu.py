@@ -1,11 +1,11 @@
-"""How one environment feels on a CPU: first step cold and warm, then speed, alone and in 64 worlds.
+"""How one environment feels on a CPU: first step cold and warm, then speed, alone and in 64 environments.
 
     python -m benchmarks.cpu --json benchmarks/results/cpu.jsonl
 
 "Cold" is a fresh process with an empty compilation cache, "warm" a fresh process with the cache that
 the cold one filled. Times count from the start of the process, Python's own start and imports
-included. One world is stepped as people do who look at it, through Gymnasium, on C MuJoCo; the fields
-that begin with ``mjx`` are one world on MJX-JAX, whose ``reset`` and ``step`` are compiled whole.
+included. One environment is stepped as people do who look at it, through Gymnasium, on C MuJoCo; the fields
+that begin with ``mjx`` are one environment on MJX-JAX, whose ``reset`` and ``step`` are compiled whole.
 """
 
 from __future__ import annotations
@@ -71,13 +71,13 @@ class CpuConfig:
     env_name: str = "ScratchItchJaco-v0"
     """Environment id."""
     num_envs: int = 64
-    """Worlds side by side."""
+    """Environments side by side."""
     json: Path | None = None
     """File to which the result is added as a JSON line."""
 
 
 def measure_one(code: str, env_name: str) -> dict[str, float]:
-    """One world, cold and warm.
+    """One environment, cold and warm.
 
     Args:
         code: of a process that prints the seconds to the first state and to the first step, and steps/s.

@@ -19,10 +19,10 @@ import numpy as np
 import tyro
 
 from benchmarks.keep import keep
-from benchmarks.rollout import CHUNK, first_state, make_worlds, random_steps, zero_totals
+from benchmarks.rollout import CHUNK, first_state, make_batch, random_steps, zero_totals
 from train.configs import Count
 
-FORCES = ("force/on_person", "force/tool")
+FORCES = ("force/on_human", "force/tool")
 LOWEST, DECADES, PER_DECADE = 1e-3, 8, 400  # bins of 0.6 % from 1 mN on
 BINS = DECADES * PER_DECADE
 
@@ -36,11 +36,11 @@ class NanConfig:
     impl: str = "auto"
     """Physics: "jax", "warp", "auto"."""
     num_envs: Count = 16_384
-    """Worlds side by side."""
+    """Environments side by side."""
     num_steps: Count = 100_000_000
     """Steps in all, rounded up."""
     seed: int = 0
-    """Of worlds and actions."""
+    """Of environments and actions."""
     json: Path | None = None
     """File to which the result is added as a JSON line."""
 
@@ -75,7 +75,7 @@ def add_forces(totals: dict[str, jax.Array], state: Any) -> dict[str, jax.Array]
 def search(config: NanConfig) -> dict[str, Any]:
     """Run all steps; returns the fields of the result line."""
     key, key_reset = jax.random.split(jax.random.PRNGKey(config.seed))
-    venv = make_worlds(config.env_name, config.impl, config.num_envs)
+    venv = make_batch(config.env_name, config.impl, config.num_envs)
     state = jax.jit(lambda key: first_state(venv, key))(key_reset)
     empty = {f"{name}/max": jnp.zeros(()) for name in FORCES}
     empty |= {f"{name}/counts": jnp.zeros(BINS, jnp.int32) for name in FORCES}

@@ -25,12 +25,12 @@ import tyro
 from rich.progress import track
 
 import agym_jax
-from agym_jax.offline import kinematics
 from agym_jax.human import pose
 from agym_jax.human.body import RIGHT_ARM_LINKS
+from agym_jax.offline import kinematics
 from agym_jax.sim.scene import compose
-from agym_jax.spec import Pose
 from agym_jax.sim.validate import COLLISION
+from agym_jax.spec import Pose
 from benchmarks.keep import keep
 from train.configs import Count
 
@@ -95,12 +95,12 @@ class Searcher:
         base = Pose(tuple(base_pos.tolist()), tuple(base_quat.tolist()))
         model = compose(env.task, env.robot, sex=sex, base=base, solid=True)
         data = mujoco.MjData(model)
-        joints = env.task.person.joints
-        angles = pose.start_angles(pose.typical(env.task.person, sex), joints, 1.0, np)
+        joints = env.task.human.joints
+        angles = pose.start_angles(pose.typical(env.task.human, sex), joints, 1.0, np)
         for name, angle in zip(joints, angles, strict=True):
-            data.joint(f"person/{name}").qpos = angle
+            data.joint(f"human/{name}").qpos = angle
         mujoco.mj_kinematics(model, data)
-        limb = f"person/{RIGHT_ARM_LINKS[rng.integers(2)]}"
+        limb = f"human/{RIGHT_ARM_LINKS[rng.integers(2)]}"
         radius, half = model.geom(limb).size[:2]
         itch = itch_on((2 * half, radius), rng)
         local = around(itch, radius, env.task.config.target_radius)
@@ -127,7 +127,7 @@ class Searcher:
             for i, name in enumerate(names)
             if name.startswith(("robot/", "tool")) and COLLISION in name and moves[i]
         ]
-        rest = [i for i, name in enumerate(names) if name.startswith(("person/", "seat/"))]
+        rest = [i for i, name in enumerate(names) if name.startswith(("human/", "seat/"))]
         joints = [f"robot/{j}" for arm in self.env.scene.arms for j in arm.joints]
         for i in np.argsort(distance)[:40]:
             if distance[i] > NEAR:

@@ -20,10 +20,10 @@ from typing import Any
 
 import tyro
 
+from agym_jax.policy.policy import train_command
 from benchmarks.child import ChildError
 from benchmarks.keep import keep
 from train.configs import Count
-from agym_jax.policy.policy import train_command
 from train.runs.folder import RunFolder
 
 LATEST = 0.1  # share of the curve that says how a run ends

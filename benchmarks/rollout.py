@@ -1,4 +1,4 @@
-"""Random actions in many worlds at once: what throughput and the NaN search run."""
+"""Random actions in many environments at once: what throughput and the NaN search run."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Totals = dict[str, jax.Array]
 Extra = Callable[[Totals, Any], Totals]
 
 
-def make_worlds(env_name: str, impl: str, num_envs: int) -> Any:
+def make_batch(env_name: str, impl: str, num_envs: int) -> Any:
     """The vectorised, auto-resetting environment."""
     return vectorize(agym_jax.make(env_name, impl=impl), num_envs)
 
 
 def first_state(venv: Any, key: jax.Array) -> Any:
-    """Worlds at random steps of their first episode, so that some reset in every step."""
+    """Environments at random steps of their first episode, so that some reset in every step."""
     key_reset, key_stagger = jax.random.split(key)
     return strong(venv.stagger(venv.reset(key_reset), key_stagger))
 
@@ -41,15 +41,15 @@ def zero_totals() -> Totals:
 def random_steps(
     venv: Any, extra: Extra | None = None, steps: int = CHUNK
 ) -> Callable[..., tuple[Any, Totals]]:
-    """The function to compile: ``run(state, key, totals)``, some steps of every world.
+    """The function to compile: ``run(state, key, totals)``, some steps of every environment.
 
     Args:
-        venv: from ``make_worlds``.
+        venv: from ``make_batch``.
         extra: adds to totals of its own after each step, given the state of the batch.
         steps: of a call.
 
     Returns:
-        ``run``, which returns the state and the totals: world-steps that went non-finite
+        ``run``, which returns the state and the totals: environment steps that went non-finite
         (``nan``) or lost contacts (``overflow``), ``episodes`` ended, sum of ``reward``.
     """
 

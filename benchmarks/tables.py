@@ -38,7 +38,7 @@ def throughput(folder: Path = RESULTS) -> str:
     columns = {
         "environment": lambda x: x["env"],
         "physics": lambda x: x["impl"],
-        "worlds": lambda x: f"{x['num_envs']:,}",
+        "envs": lambda x: f"{x['num_envs']:,}",
         "control steps/s, median (range)": lambda x: (
             f"**{x['steps_per_s']:,}** ({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,})"
         ),
@@ -57,14 +57,14 @@ def throughput(folder: Path = RESULTS) -> str:
 def cpu(folder: Path = RESULTS) -> str:
     """Latency and speed on a CPU."""
     lines = read_results("cpu", ("env",), folder)
-    worlds = several(x["num_envs"] for x in lines)
+    envs = several(x["num_envs"] for x in lines)
     cores = several(x["device"]["cpu_cores"] for x in lines)
     columns = {
         "environment": lambda x: x["env"],
         "first step, cold": lambda x: f"{x['cold_step_seconds']:.0f} s",
         "first step, warm cache": lambda x: f"{x['warm_step_seconds']:.0f} s",
         "steps/s, 1 world": lambda x: f"{x['single_steps_per_s']:,}",
-        f"steps/s, {worlds} worlds": lambda x: f"{x['steps_per_s']:,}",
+        f"steps/s, {envs} environments": lambda x: f"{x['steps_per_s']:,}",
     }
     note = f"From the start of the process; {cores} cores."
     return table(lines, columns, itemgetter("env"), note)
@@ -76,7 +76,7 @@ def compilation(folder: Path = RESULTS) -> str:
         "environment": lambda x: x["env"],
         "on": lambda x: x["device"]["kind"],
         "physics": lambda x: x["impl"],
-        "worlds": lambda x: f"{x['num_envs']:,}",
+        "envs": lambda x: f"{x['num_envs']:,}",
         "start": lambda x: x["start"],
         "compiling": lambda x: f"{x['compile_s']:.0f} s",
         "until training begins": lambda x: f"{x['until_training_s']:.0f} s",
@@ -92,8 +92,8 @@ def nan(folder: Path = RESULTS) -> str:
         "physics": lambda x: x["impl"],
         "random steps": lambda x: f"{x['total_steps']:,}",
         "NaN": lambda x: x["nan"],
-        "force on the person, 99.99 %": lambda x: f"{x['force/on_person/p99.99']:.1f} N",
-        "maximum": lambda x: f"{x['force/on_person/max']:.1f} N",
+        "force on the person, 99.99 %": lambda x: f"{x['force/on_human/p99.99']:.1f} N",
+        "maximum": lambda x: f"{x['force/on_human/max']:.1f} N",
     }
     lines = read_results("nan", ("env", "impl"), folder)
     return table(lines, columns, itemgetter("env", "impl"))
@@ -110,7 +110,7 @@ def policies(folder: Path = RESULTS) -> str:
     sampled = {x["env"]: x for x in lines if x["policy"] == "sampled"}
     columns = {
         "environment": lambda x: x["env"],
-        "people": lambda x: f"{x['episodes']:,}",
+        "humans": lambda x: f"{x['episodes']:,}",
         "return": lambda x: f"{x['return_mean']:.1f} ± {x['return_std']:.1f}",
         "mean force on the person": lambda x: f"{x['force_mean']:.2f} N",
         "success (95 % interval)": _success,
@@ -122,8 +122,8 @@ def policies(folder: Path = RESULTS) -> str:
 
 def together(folder: Path = RESULTS) -> str:
     """What robots and people who learned together achieve, and the robot without that person."""
-    lines = read_results("crossplay", ("env", "person_policy"), folder)
-    still = {x["env"]: x for x in lines if x["person_policy"] is None}
+    lines = read_results("crossplay", ("env", "human_policy"), folder)
+    still = {x["env"]: x for x in lines if x["human_policy"] is None}
     alone = read_results("evaluation", ("env", "policy"), folder)
     trained_so = {x["env"]: x for x in alone if x["policy"] == "mode"}
 
@@ -133,34 +133,34 @@ def together(folder: Path = RESULTS) -> str:
 
     columns = {
         "environment": lambda x: x["env"],
-        "people": lambda x: f"{x['episodes']:,}",
+        "humans": lambda x: f"{x['episodes']:,}",
         "success (95 % interval)": _success,
         "return": lambda x: f"{x['return_mean']:.0f} ± {x['return_std']:.0f}",
         "mean force on the person": lambda x: f"{x['force_mean']:.1f} N",
         "this robot, person still": lambda x: other(still, x["env"]),
         "trained with a still person": lambda x: other(trained_so, static_name(x["env"])),
     }
-    both = [x for x in lines if x["person_policy"] is not None]
+    both = [x for x in lines if x["human_policy"] is not None]
     note = "Success and return, mode of the policies;"
     return table(both, columns, itemgetter("env"), note)
 
 
 def seeds(folder: Path = RESULTS) -> str:
     """How robots and people of different trainings of the same pair get along."""
-    lines = read_results("seeds", ("env", "robot_policy", "person_policy"), folder)
+    lines = read_results("seeds", ("env", "robot_policy", "human_policy"), folder)
     if not lines:
         return NOTHING
-    of = {(x["robot_policy"], x["person_policy"]): x for x in lines}
-    robots, people = ({x[name]: None for x in lines} for name in ("robot_policy", "person_policy"))
+    of = {(x["robot_policy"], x["human_policy"]): x for x in lines}
+    robots, humans = ({x[name]: None for x in lines} for name in ("robot_policy", "human_policy"))
 
-    def cell(robot: str, person: str | None) -> str:
-        return f"{of[robot, person]['success']:.0%}, {of[robot, person]['return_mean']:.0f}"
+    def cell(robot: str, human: str | None) -> str:
+        return f"{of[robot, human]['success']:.0%}, {of[robot, human]['return_mean']:.0f}"
 
-    head = ["robot, person:", *(person or "still" for person in people)]
-    rows = [[robot, *(cell(robot, person) for person in people)] for robot in robots]
-    env = several(x["env"] for x in lines if x["person_policy"])
-    people_each = several(f"{x['episodes']:,}" for x in lines)
-    note = f"{env}, success and return, {people_each} people;"
+    head = ["robot, person:", *(human or "still" for human in humans)]
+    rows = [[robot, *(cell(robot, human) for human in humans)] for robot in robots]
+    env = several(x["env"] for x in lines if x["human_policy"])
+    humans_each = several(f"{x['episodes']:,}" for x in lines)
+    note = f"{env}, success and return, {humans_each} people;"
     return grid([head, *rows], lines, note)
 
 
@@ -179,7 +179,7 @@ def training_speed(folder: Path = RESULTS) -> str:
         "physics": lambda x: x["impl"],
         "learners": lambda x: x["learners"],
         "devices": lambda x: x["devices"],
-        "worlds": lambda x: f"{x['num_envs']:,}",
+        "envs": lambda x: f"{x['num_envs']:,}",
         "steps/s of training, median (range)": lambda x: (
             f"**{x['steps_per_s']:,}** ({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,})"
         ),
@@ -248,10 +248,10 @@ def success(folder: Path = RESULTS) -> str:
 
 
 def speed(folder: Path = RESULTS) -> str:
-    """Steps per second on Warp in 4,096 worlds, by task and robot."""
+    """Steps per second on Warp in 4,096 environments, by task and robot."""
     lines = read_results("throughput", ("env", "impl", "num_envs"), folder)
     warp = [x for x in lines if x["impl"] == "warp" and x["num_envs"] == 4096]
-    note = "Control steps/s of the whole environment, 4,096 worlds, Warp;"
+    note = "Control steps/s of the whole environment, 4,096 environments, Warp;"
     return matrix(warp, lambda x: f"{x['steps_per_s'] / 1000:,.0f} k", note)
 
 
@@ -265,7 +265,7 @@ def training(folder: Path = RESULTS) -> str:
     columns = {
         "environment": lambda x: x["env"],
         "physics": lambda x: x["impl"],
-        "worlds": lambda x: f"{x['num_envs']:,}",
+        "envs": lambda x: f"{x['num_envs']:,}",
         "steps": lambda x: f"{x['steps']:,}",
         "start": lambda x: x["start"],
         "wall time, all in": lambda x: f"{x['wall_s']:.0f} s{_sharing(x)}",

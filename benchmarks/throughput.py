@@ -3,8 +3,8 @@
     python -m benchmarks.throughput --impl jax warp --num-envs 1024 4096 16384
 
 Every configuration runs in a process of its own, without JAX's compilation cache: compile time and
-memory are its own. The worlds are staggered, so some episode ends and resets in every step. NaN
-worlds are counted; a lost contact (overflow) makes the run fail.
+memory are its own. The environments are staggered, so some episode ends and resets in every step. NaN
+environments are counted; a lost contact (overflow) makes the run fail.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from agym_jax.errors import AgymError
 from benchmarks.rollout import (
     CHUNK,
     first_state,
-    make_worlds,
+    make_batch,
     peak_memory_mb,
     random_steps,
     zero_totals,
@@ -42,13 +42,13 @@ class ThroughputConfig:
     impl: tuple[str, ...] = ("auto",)
     """Physics: "jax", "warp", "auto"."""
     num_envs: tuple[int, ...] = (1024, 4096, 16384)
-    """Worlds side by side."""
+    """Environments side by side."""
     steps: int = 500
-    """Steps of every world in one measurement, rounded up to whole calls of 50 if it is more."""
+    """Steps of every environment in one measurement, rounded up to whole calls of 50 if it is more."""
     repeats: int = 5
     """Measurements; the median counts."""
     seed: int = 0
-    """Of worlds and actions."""
+    """Of environments and actions."""
     json: Path | None = None
     """File to which each result is added as a JSON line."""
 
@@ -61,10 +61,10 @@ def measure(
     Args:
         env_name: environment id.
         impl: physics.
-        num_envs: worlds.
-        steps: of every world in one measurement.
+        num_envs: environments.
+        steps: of every environment in one measurement.
         repeats: measurements.
-        seed: of worlds and actions.
+        seed: of environments and actions.
 
     Returns:
         Fields of the result line.
@@ -74,7 +74,7 @@ def measure(
     chunk = min(steps, CHUNK)
     chunks = -(-steps // chunk)
     start = time.perf_counter()
-    venv = make_worlds(env_name, impl, num_envs)
+    venv = make_batch(env_name, impl, num_envs)
     begin = jax.jit(lambda key: first_state(venv, key)).lower(key_reset).compile()
     state, totals = begin(key_reset), zero_totals()
     run = jax.jit(random_steps(venv, steps=chunk)).lower(state, key, totals).compile()
@@ -114,7 +114,7 @@ def shown(line: dict[str, Any]) -> str:
     """The result for people."""
     memory = line["peak_memory_mb"]
     return (
-        f"{line['env']} {line['impl']:<4} {line['num_envs']:>6} worlds: "
+        f"{line['env']} {line['impl']:<4} {line['num_envs']:>6} environments: "
         f"{line['steps_per_s']:>9,} steps/s "
         f"({line['steps_per_s_min']:,} to {line['steps_per_s_max']:,} in "
         f"{line['repeats']}), compiled in {line['compile_seconds']:.0f} s, first call "

@@ -3,7 +3,7 @@
     python -m benchmarks.training_speed --env-name FeedingJacoHuman-v0 --learners 1 2 --devices 1 2
 
 One learner is a policy that sees and moves robot and person together (``train.ppo --allow-joint-observation``).
-Every device has as many worlds. Compiling does not count.
+Every device has as many environments. Compiling does not count.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class TrainingSpeedConfig:
     devices: tuple[int, ...] = (1,)
     """How many devices share the work."""
     num_envs: Count = 0
-    """Worlds on each device; 0 = as many as training takes."""
+    """Environments on each device; 0 = as many as training takes."""
     updates: Count = 20
     """In one measurement, rounded up to whole calls."""
     impl: str = "auto"
@@ -64,7 +64,7 @@ def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[st
         "impl": env.impl,
         "learners": learners,
         "devices": devices,
-        "num_envs": result.config.num_processes,
+        "num_envs": result.config.num_envs,
         "steps": result.env_steps,
         "steps_per_s": round(statistics.median(speeds)),
         "steps_per_s_min": round(min(speeds)),
@@ -75,13 +75,13 @@ def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[st
 
 def _settings(settings: Config, config: TrainingSpeedConfig, devices: int) -> Config:
     """Those of a short training on several devices that writes nothing."""
-    settings = dataclasses.replace(settings, num_processes=config.num_envs)
-    worlds = devices * resolve(settings, jax.default_backend()).num_processes
+    settings = dataclasses.replace(settings, num_envs=config.num_envs)
+    num_envs = devices * resolve(settings, jax.default_backend()).num_envs
     each = -(-config.updates // CALLS)
     return dataclasses.replace(
         settings,
-        num_processes=worlds,
-        num_env_steps=(CALLS + 1) * each * worlds * settings.num_steps,
+        num_envs=num_envs,
+        num_env_steps=(CALLS + 1) * each * num_envs * settings.num_steps,
         log_interval=each,
         devices=devices,
         save_dir=None,

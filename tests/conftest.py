@@ -22,8 +22,8 @@ BATCH = 8
 STATIC, ACTIVE = "ScratchItchJaco-v0", "ScratchItchJacoHuman-v0"
 
 
-class Worlds(NamedTuple):
-    """A batch of worlds, its compiled functions, and how often Python has run each."""
+class CompiledBatch(NamedTuple):
+    """A batch of environments, its compiled functions, and how often Python has run each."""
 
     env: VectorEnv
     reset: Any
@@ -42,7 +42,7 @@ class Rollout(NamedTuple):
     metrics: dict[str, np.ndarray]  # (T, B)
 
 
-def _compiled(name: str) -> Worlds:
+def _compiled(name: str) -> CompiledBatch:
     env = vectorize(agym_jax.make(name, impl="jax"), BATCH)
     traces = {"reset": 0, "step": 0}
 
@@ -54,12 +54,12 @@ def _compiled(name: str) -> Worlds:
         traces["step"] += 1
         return env.step(state, action)
 
-    return Worlds(env, jax.jit(reset), jax.jit(step), traces)
+    return CompiledBatch(env, jax.jit(reset), jax.jit(step), traces)
 
 
-def compiled_person(env: Any, episode: Episode) -> mujoco.MjModel:
+def compiled_human(env: Any, episode: Episode) -> mujoco.MjModel:
     """One episode's scene in C MuJoCo, compiled from scratch."""
-    p, place = episode.person, episode.placement
+    p, place = episode.human, episode.placement
     base = Pose(tuple(map(float, place.base_pos)), tuple(map(float, place.base_quat)))  # ty: ignore
     return compose(
         env.task,
@@ -75,25 +75,25 @@ def compiled_person(env: Any, episode: Episode) -> mujoco.MjModel:
 
 
 @pytest.fixture(scope="session")
-def worlds() -> Worlds:
-    """Eight worlds of a person who does not act."""
+def batch() -> CompiledBatch:
+    """Eight environments of a person who does not act."""
     return _compiled(STATIC)
 
 
 @pytest.fixture(scope="session")
-def rollout(worlds: Worlds) -> Rollout:
+def rollout(batch: CompiledBatch) -> Rollout:
     """Thirty random steps."""
-    actions = np.random.default_rng(0).uniform(-1, 1, (30, BATCH, worlds.env.action_size))
-    return roll(worlds, 0, actions.astype(np.float32))
+    actions = np.random.default_rng(0).uniform(-1, 1, (30, BATCH, batch.env.action_size))
+    return roll(batch, 0, actions.astype(np.float32))
 
 
-def roll(worlds: Worlds, seed: int, actions: np.ndarray) -> Rollout:
+def roll(batch: CompiledBatch, seed: int, actions: np.ndarray) -> Rollout:
     """Play given actions from a seed."""
-    state = first = worlds.reset(jax.random.PRNGKey(seed))
+    state = first = batch.reset(jax.random.PRNGKey(seed))
     seen = []
     for action in actions:
-        state = worlds.step(state, action)
-        seen.append(jax.device_get((state.info["terminal_obs"], state.reward, state.metrics)))
+        state = batch.step(state, action)
+        seen.append(jax.device_get((state.info["final_observation"], state.reward, state.metrics)))
     obs, reward, metrics = jax.tree.map(lambda *x: np.stack(x), *seen)
     obs = np.concatenate([np.asarray(first.obs)[None], obs])
     return Rollout(first, state, actions, obs, reward, metrics)
@@ -101,7 +101,7 @@ def roll(worlds: Worlds, seed: int, actions: np.ndarray) -> Rollout:
 
 @pytest.fixture(scope="session")
 def static_env() -> agym_jax.Env:
-    """The environment of one world, not compiled."""
+    """The environment of one environment, not compiled."""
     return agym_jax.make(STATIC, impl="jax")
 
 

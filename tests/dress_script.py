@@ -23,8 +23,8 @@ from meal_script import SPARE, Script, Z, _chain, _turn_of
 from scipy.spatial.transform import Rotation
 
 import agym_jax
-from agym_jax.offline import kinematics
 from agym_jax.matter.cloth.sleeve import crossed
+from agym_jax.offline import kinematics
 from agym_jax.tasks.dressing import ARM_LINKS
 
 HEIGHT = 0.11  # of the hand above the arm's axis [m]
@@ -42,7 +42,7 @@ ELBOWS = (
     0.03,
     0.1,
 )  # how strongly joints are drawn to the middle of their range, if the hand may stay
-ROOM = 0.05  # of joints to their limits [rad]
+SCRATCH_ROWS = 0.05  # of joints to their limits [rad]
 REACHED = 0.01  # of the path [m]
 CLEAR = 0.015  # of the robot from the person: nothing is better than this [m]
 LOOK = 5  # every how many control steps
@@ -58,7 +58,7 @@ class Way(NamedTuple):
 
 
 class DressScript(Script):
-    """A plan for one episode, of an environment that steps one world at a time."""
+    """A plan for one episode, of an environment that steps one environment at a time."""
 
     def __init__(self, env: Any, state: Any):
         self.env, self.index = env, env.scene.index
@@ -68,7 +68,7 @@ class DressScript(Script):
         control = env.task.control
         self.stride = control.action_scale * (1 - np.exp(-control.rate * control.period))
         joints = arm_joints(env, state)
-        radius = float(state.episode.person.dims.upper_arm_r)
+        radius = float(state.episode.human.dims.upper_arm_r)
         pos, rot = self._tool()
         ways = [
             way
@@ -153,8 +153,8 @@ def _follower(env: Any) -> Any:
             # where it starts nearer to a limit, it may stay
             return jnp.clip(
                 q + delta,
-                jnp.minimum(start, chain.lower + ROOM),
-                jnp.maximum(start, chain.upper - ROOM),
+                jnp.minimum(start, chain.lower + SCRATCH_ROWS),
+                jnp.maximum(start, chain.upper - SCRATCH_ROWS),
             )
 
         def one(q: jax.Array, pose: tuple) -> tuple:
@@ -168,7 +168,7 @@ def _follower(env: Any) -> Any:
 
 def arm_joints(env: Any, state: Any) -> np.ndarray:
     """Shoulder, elbow and wrist of the arm to be dressed, world [m] (3, 3)."""
-    bodies = dict(zip(env.scene.index.links, env.scene.index.person_body, strict=True))
+    bodies = dict(zip(env.scene.index.links, env.scene.index.human_body, strict=True))
     return np.array([np.asarray(state.data.xpos)[bodies[link]] for link in ARM_LINKS])
 
 
@@ -236,7 +236,7 @@ def main(name: str, episodes: int, first: int) -> None:
         print(
             f"{seed}: {'dressed' if won[-1] else 'NOT    '} best {float(state.task.best):.3f} m, progress "
             f"{float(state.task.progress):.2f}, plan {len(plan.angles)} steps, share {plan.share}, gap {plan.gap:.3f}, "
-            f"sex {float(state.episode.person.sex):.0f}, robot on person {total['force/robot_on_person'] / 200:.2f} N, "
+            f"sex {float(state.episode.human.sex):.0f}, robot on person {total['force/robot_on_human'] / 200:.2f} N, "
             f"gown at most {max(force):.2f}, mean {np.mean(force):.2f} N, slid {max(slid):.3f} m, through at most {max(through)}, at the end "
             f"{through[-1]}, nan {total['nan']:.0f}",
             flush=True,

@@ -48,7 +48,7 @@ class FakeState:
 
 @dataclass
 class FakeEnv:
-    """One world: a point at speed 0.2 towards a target in [-1, 1]^2."""
+    """One environment: a point at speed 0.2 towards a target in [-1, 1]^2."""
 
     name: str = "FakeReach-v0"
     episode_length: int = 20
@@ -56,7 +56,7 @@ class FakeEnv:
     action_sizes: dict[str, int] = field(default_factory=lambda: {"robot": 2})
     overflow: float = 0.0
     nan_at: int = -1
-    hidden_size: int = 0  # 1: value functions may see the clock
+    privileged_obs_size: int = 0  # 1: value functions may see the clock
     traces: dict[str, int] = field(default_factory=lambda: {"reset": 0, "step": 0})
 
     observation_size = 4
@@ -76,7 +76,7 @@ class FakeEnv:
         key, key_target = jax.random.split(key)
         target = jax.random.uniform(key_target, (2,), minval=-1.0, maxval=1.0)
         position, zero = jnp.zeros(2), jnp.zeros(())
-        names = ("reward/distance", "force/on_person", "success", "nan", "overflow")
+        names = ("reward/distance", "force/on_human", "success", "nan", "overflow")
         return FakeState(
             position=position,
             target=target,
@@ -99,7 +99,7 @@ class FakeEnv:
         done = jnp.maximum((time >= self.episode_length).astype(jnp.float32), nan)
         metrics = {
             "reward/distance": -dist,
-            "force/on_person": 2.0 * dist,
+            "force/on_human": 2.0 * dist,
             "success": (dist < 0.1).astype(jnp.float32),
             "nan": nan,
             "overflow": jnp.asarray(self.overflow, jnp.float32),
@@ -109,7 +109,7 @@ class FakeEnv:
             position=position, time=time, obs=obs, reward=-dist, done=done, metrics=metrics
         )
 
-    def to_mujoco(self, state: FakeState, looks: str = "primitives") -> tuple[Any, Any]:
+    def to_mujoco(self, state: FakeState, visuals: str = "primitives") -> tuple[Any, Any]:
         """A ball in front of a camera."""
         import mujoco
 
@@ -161,15 +161,15 @@ class FakeVectorEnv:
     def _info(
         self, state: FakeState, last: FakeState, truncation: jax.Array
     ) -> dict[str, jax.Array]:
-        """What the worlds tell besides; of a clock only if it is hidden from the policies."""
-        info = {"truncation": truncation, "terminal_obs": last.obs}
-        if not self.env.hidden_size:
+        """What the environments tell besides; of a clock only if it is hidden from the policies."""
+        info = {"truncation": truncation, "final_observation": last.obs}
+        if not self.env.privileged_obs_size:
             return info
         clock = lambda s: s.time[:, None] / self.env.episode_length  # noqa: E731
-        return info | {"hidden": clock(state), "terminal_hidden": clock(last)}
+        return info | {"privileged_obs": clock(state), "final_privileged_obs": clock(last)}
 
     def stagger(self, state: FakeState, key: jax.Array) -> FakeState:
-        """Spread the worlds over the phases of an episode."""
+        """Spread the environments over the phases of an episode."""
         time = jax.random.randint(key, (self.num_envs,), 0, self.env.episode_length)
         return state.replace(time=time.astype(jnp.float32))
 

@@ -26,7 +26,7 @@ class RobotSees:
 
 
 @observe.observation
-class PersonSees:
+class HumanSees:
     """What the person sees, who is told nothing of the goal but the way that is left."""
 
     cart: jax.Array = column(1, "m", "world", "")
@@ -36,20 +36,20 @@ class PersonSees:
 
 @dataclass
 class FakePairEnv(FakeEnv):
-    """One world: the sum of two positions has to reach a goal."""
+    """One environment: the sum of two positions has to reach a goal."""
 
     active: bool = True
     task_name: str = "FakeCarry"
     task: SimpleNamespace = field(
-        default_factory=lambda: SimpleNamespace(robot_obs=RobotSees, person_obs=PersonSees)
+        default_factory=lambda: SimpleNamespace(robot_obs=RobotSees, human_obs=HumanSees)
     )
 
     def __post_init__(self) -> None:
-        records = [self.task.robot_obs, *([self.task.person_obs] if self.active else [])]
+        records = [self.task.robot_obs, *([self.task.human_obs] if self.active else [])]
         self.name = f"{self.task_name}{'Human' if self.active else ''}-v0"
         self.layout_version = observe.layout_version(*records)
-        self.action_sizes = {"robot": 1, "person": 1} if self.active else {"robot": 1}
-        self.observation_sizes = {"robot": 2, "person": 3} if self.active else {"robot": 2}
+        self.action_sizes = {"robot": 1, "human": 1} if self.active else {"robot": 1}
+        self.observation_sizes = {"robot": 2, "human": 3} if self.active else {"robot": 2}
 
     @property
     def observation_size(self) -> int:
@@ -58,8 +58,8 @@ class FakePairEnv(FakeEnv):
 
     def _observed(self, position: jax.Array, target: jax.Array, speed: jax.Array) -> jax.Array:
         robot = jnp.array([position[0], target[0]])
-        person = jnp.array([position[1], speed, target[0] - position.sum()])
-        return jnp.concatenate([robot, person]) if self.active else robot
+        human = jnp.array([position[1], speed, target[0] - position.sum()])
+        return jnp.concatenate([robot, human]) if self.active else robot
 
     def _first(self, key: jax.Array) -> FakeState:
         key, key_far, key_side = jax.random.split(key, 3)
@@ -81,7 +81,7 @@ class FakePairEnv(FakeEnv):
         zero = jnp.zeros(())
         metrics = {
             "reward/distance": -left,
-            "force/on_person": zero,
+            "force/on_human": zero,
             "success": (left < 0.1).astype(jnp.float32),
             "nan": zero,
             "overflow": zero,

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from agym_jax.offline import kinematics
 from agym_jax.human.capsules import link_capsules
+from agym_jax.offline import kinematics
 
 YAWS = np.deg2rad([0.0, 20.0, -20.0, 45.0, -45.0, 70.0, -70.0])
 """Turns of the hand about the vertical, from how it starts."""
@@ -62,7 +62,7 @@ class Plan(NamedTuple):
 
 
 class Script:
-    """A plan for one episode, of an environment that steps one world at a time."""
+    """A plan for one episode, of an environment that steps one environment at a time."""
 
     def __init__(self, env: Any, state: Any):
         self.env, self.index = env, env.scene.index
@@ -238,9 +238,9 @@ def _off(capsule: tuple[np.ndarray, np.ndarray, float], points: np.ndarray) -> n
 
 def _head(env: Any, state: Any) -> tuple[np.ndarray, np.ndarray, float]:
     """The head's capsule: ends and radius [m]."""
-    body = dict(zip(env.scene.index.links, env.scene.index.person_body, strict=True))["head"]
+    body = dict(zip(env.scene.index.links, env.scene.index.human_body, strict=True))["head"]
     pos, rot = np.asarray(state.data.xpos)[body], _turn_of(np.asarray(state.data.xquat)[body])
-    a, b, radius = link_capsules(state.episode.person.dims, ("head",), {"head": pos}, {"head": rot})
+    a, b, radius = link_capsules(state.episode.human.dims, ("head",), {"head": pos}, {"head": rot})
     return np.asarray(a)[0], np.asarray(b)[0], float(radius[0])
 
 

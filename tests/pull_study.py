@@ -13,11 +13,11 @@ import time
 
 import jax
 import numpy as np
-from cloth_world import Outcome, draw_pull, pull_on
+from cloth_scene import Outcome, draw_pull, pull_on
 
-from agym_jax.offline.gown import Cut, cut
 from agym_jax.matter.cloth.hang import settle
-from agym_jax.matter.cloth.topology import weave
+from agym_jax.matter.cloth.topology import build_cloth
+from agym_jax.offline.gown import Cut, cut
 from train.runs.record import RESULTS, append_record, record
 
 STEPS = 560  # of 10 ms, at 0.15 m/s, the slowest
@@ -26,7 +26,7 @@ STEPS = 560  # of 10 ms, at 0.15 m/s, the slowest
 def main(count: int, batch: int, edge: float) -> None:
     """Pull, and print what came of it."""
     gown = settle(cut(Cut(edge=edge)))
-    spec = weave(gown)
+    spec = build_cloth(gown)
     pull = jax.jit(jax.vmap(lambda key: pull_on(spec, draw_pull(key), STEPS)[0]))
     keys = jax.random.split(jax.random.PRNGKey(0), count)
     start = time.perf_counter()

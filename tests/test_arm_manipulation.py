@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.observe import values
 from agym_jax.human import anthropometry
+from agym_jax.observe import values
 from agym_jax.robots import ROBOTS
 from agym_jax.sense import Sensed, ToolSensed
 from agym_jax.tasks.arm_manipulation import ARM_MANIPULATION as TASK
@@ -26,11 +26,11 @@ LINKS = {
 AIR = {
     "pos_w": np.array([-0.9, 0.7, 0.8]), "quat_w": np.array([1.0, 0, 0, 0]), "vel_w": np.zeros(3),
     "gap": 0.3, "touch_force": np.zeros(6), "touch_pos_w": np.zeros((6, 3)),
-    "touch_working": np.ones(6), "on_person": 0.0, "force": 0.0,
+    "touch_working": np.ones(6), "on_human": 0.0, "force": 0.0,
 }  # fmt: skip
 REST = {
     "arm_angles": np.arange(14.0), "torso_pos_w": np.array([-1.2, 0.0, 1.0]),
-    "person_angles": np.arange(10.0), "robot_on_person": 0.0,
+    "human_angles": np.arange(10.0), "robot_on_human": 0.0,
 }  # fmt: skip
 LEFT = {
     "pos_w": ELBOW + np.array([0.0, 0.3, 0.4]),
@@ -40,8 +40,8 @@ RIGHT = {
     "pos_w": HAND + np.array([0.0, 0.0, 0.2]), "vel_w": np.array([0.2, 0, 0]), "quat_w": np.array([0, 1.0, 0, 0])
 }  # fmt: skip
 
-TWO_PARTS = {"touch_force": np.array([4.0, 0, 2, 0, 0, 0]), "on_person": 6.0}
-ONE_PART = {"touch_force": np.array([0.0, 0, 0, 0, 0, 5]), "on_person": 5.0}
+TWO_PARTS = {"touch_force": np.array([4.0, 0, 2, 0, 0, 0]), "on_human": 6.0}
+ONE_PART = {"touch_force": np.array([0.0, 0, 0, 0, 0, 5]), "on_human": 5.0}
 
 
 def changed(nothing: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -93,7 +93,7 @@ def test_reward_of_two_arms_is_assistive_gyms():
     """R = 0.5 d_h + 0.25 d_L + 0.25 d_R - 0.01 |a|^2 + r_pref."""
     seen = sensed(
         LEFT | TWO_PARTS,
-        RIGHT | ONE_PART, robot_on_person=7.0,
+        RIGHT | ONE_PART, robot_on_human=7.0,
     )  # fmt: skip
     check(
         rewards(seen, np.full(14, 0.5)),
@@ -113,7 +113,7 @@ def test_reward_of_two_arms_is_assistive_gyms():
 
 def test_reward_of_one_arm_is_assistive_gyms():
     """R = 0.5 d_h + 0.5 d_L - 0.01 |a|^2 + r_pref: the one tool goes to the elbow."""
-    seen = sensed(LEFT | TWO_PARTS, robot_on_person=7.0)
+    seen = sensed(LEFT | TWO_PARTS, robot_on_human=7.0)
     check(
         rewards(seen, np.array([1.0, 0, 0, 0, 0, 0, -1.0])),
         {
@@ -181,9 +181,9 @@ def observed(*tools: dict[str, Any], **changes: Any):
 
 def test_observations_of_two_arms():
     torso, chest = REST["torso_pos_w"], LINKS["chest"]
-    robot, person = observed(
-        LEFT | {"force": 3.0, "on_person": 2.0}, RIGHT | {"force": 4.0, "on_person": 1.0},
-        robot_on_person=0.5,
+    robot, human = observed(
+        LEFT | {"force": 3.0, "on_human": 2.0}, RIGHT | {"force": 4.0, "on_human": 1.0},
+        robot_on_human=0.5,
     )  # fmt: skip
     expected = [
         (robot.left_tool_pos_torso, LEFT["pos_w"] - torso),
@@ -192,13 +192,13 @@ def test_observations_of_two_arms():
         (robot.right_tool_quat_w, RIGHT["quat_w"]),
         (robot.arm_angles, np.arange(14)),
         (robot.left_tool_force, 3.0), (robot.right_tool_force, 4.0),
-        (person.left_tool_pos_person, LEFT["pos_w"] - chest),
-        (person.left_tool_quat_w, AIR["quat_w"]),
-        (person.right_tool_pos_person, RIGHT["pos_w"] - chest),
-        (person.right_tool_quat_w, RIGHT["quat_w"]),
-        (person.person_angles, np.arange(10)),
-        (person.force_on_person, 3.5),
-        (person.left_tool_on_person, 2.0), (person.right_tool_on_person, 1.0),
+        (human.left_tool_pos_human, LEFT["pos_w"] - chest),
+        (human.left_tool_quat_w, AIR["quat_w"]),
+        (human.right_tool_pos_human, RIGHT["pos_w"] - chest),
+        (human.right_tool_quat_w, RIGHT["quat_w"]),
+        (human.human_angles, np.arange(10)),
+        (human.force_on_human, 3.5),
+        (human.left_tool_on_human, 2.0), (human.right_tool_on_human, 1.0),
     ]  # fmt: skip
     names = {
         "shoulder": "right_upper_arm", "elbow": "right_forearm", "wrist": "right_hand",
@@ -206,19 +206,19 @@ def test_observations_of_two_arms():
     }  # fmt: skip
     for name, link in names.items():
         expected.append((values(robot)[f"{name}_pos_torso"], LINKS[link] - torso))
-        expected.append((values(person)[f"{name}_pos_person"], LINKS[link] - chest))
+        expected.append((values(human)[f"{name}_pos_human"], LINKS[link] - chest))
     for found, value in expected:
         np.testing.assert_allclose(found, value, atol=1e-6)
 
 
 def test_one_arm_stands_in_both_places():
-    tool = LEFT | {"force": 3.0, "on_person": 2.0}
-    robot, person = observed(tool, arm_angles=np.arange(7.0), robot_on_person=0.5)
+    tool = LEFT | {"force": 3.0, "on_human": 2.0}
+    robot, human = observed(tool, arm_angles=np.arange(7.0), robot_on_human=0.5)
     for what in ("pos_torso", "quat_w", "force"):
         left, right = (getattr(robot, f"{side}_tool_{what}") for side in ("left", "right"))
         np.testing.assert_array_equal(left, right)
     np.testing.assert_array_equal(robot.arm_angles, [*range(7), *range(7)])
-    assert float(person.force_on_person) == 2.5  # its force counts once
+    assert float(human.force_on_human) == 2.5  # its force counts once
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -247,6 +247,6 @@ def test_facts_of_the_reference():
     # tasks.md sections 1.4, 1.5, 7; furniture.md section 3: friction 0.3 of the bed times 0.5
     assert TASK.gravity == -9.81 and TASK.control.max_torque == 10.0  # deviation arm-torque
     assert TASK.seat.friction == 0.15 and TASK.seat.bears_upper_arm
-    assert TASK.person.still == "limp" and "tremor" not in TASK.person.impairments
-    assert TASK.person.moving(active=False) == TASK.person.joints  # it hangs, and can be lifted
+    assert TASK.human.passive_mode == "limp" and "tremor" not in TASK.human.impairments
+    assert TASK.human.moving(active=False) == TASK.human.joints  # it hangs, and can be lifted
     assert TASK.markers(TASK.init(jax.random.PRNGKey(0), sensed(LEFT, RIGHT))) == []

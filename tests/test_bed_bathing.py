@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.human import anthropometry
-from agym_jax.human.population import People
+from agym_jax.human.population import Population
+from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.sense import Sensed, ToolSensed
 from agym_jax.tasks.bed_bathing import BED_BATHING as TASK
 from agym_jax.tasks.bed_bathing import PER_RING, RINGS, BathState
@@ -32,11 +32,11 @@ ROTS = {k: np.eye(3) for k in LINKS} | {"right_forearm": TURN}
 AIR = {
     "pos_w": np.array([-0.6, 0.2, 1.0]), "quat_w": np.array([0.6, 0.8, 0, 0]), "vel_w": np.zeros(3),
     "gap": 0.1, "touch_force": np.zeros(3), "touch_pos_w": np.zeros((3, 3)),
-    "touch_working": np.array([1.0, 1.0, 0.0]), "on_person": 0.0, "force": 0.0,
+    "touch_working": np.array([1.0, 1.0, 0.0]), "on_human": 0.0, "force": 0.0,
 }  # fmt: skip
 REST = {
     "arm_angles": np.arange(7.0), "torso_pos_w": np.array([-1.0, -0.5, 1.0]),
-    "person_angles": np.arange(10.0), "robot_on_person": 0.0,
+    "human_angles": np.arange(10.0), "robot_on_human": 0.0,
 }  # fmt: skip
 
 
@@ -105,9 +105,9 @@ def test_points_are_the_references_rings(sex: float, who: dict):
         assert np.deg2rad(40) < gap < np.deg2rad(106) and gap > 0.03 / radius
 
 
-@pytest.mark.parametrize("girth", [People().girth[0], People().girth[1]])
-@pytest.mark.parametrize("stature", [People().stature[0], People().stature[1]])
-@pytest.mark.parametrize("sex", [People().blend[0], People().blend[1]])
+@pytest.mark.parametrize("girth", [Population().girth[0], Population().girth[1]])
+@pytest.mark.parametrize("stature", [Population().stature[0], Population().stature[1]])
+@pytest.mark.parametrize("sex", [Population().blend[0], Population().blend[1]])
 def test_nobody_has_room_for_more_points_than_are_kept(sex: float, stature: float, girth: float):
     d = anthropometry.dims(sex, stature, girth)
     seen = dataclasses.replace(sensed(), dims=jax.tree.map(jnp.float32, d))
@@ -202,9 +202,9 @@ def test_success_is_30_percent_of_this_persons_points(sex: float, who: dict):
 def test_reward_is_assistive_gyms():
     """R = -d_min - 0.01 |a|^2 + 5 N_new + r_pref."""
     state = begin()
-    tool = {"gap": -0.004, "vel_w": np.array([0.3, 0.0, 0.4]), "on_person": 20.0}
+    tool = {"gap": -0.004, "vel_w": np.array([0.3, 0.0, 0.4]), "on_human": 20.0}
     tool |= {"touch_force": np.array([6.0, 6.0, 0.0])}
-    seen = pressing(here(state)[0], working=(1, 1, 0), robot_on_person=5.0)
+    seen = pressing(here(state)[0], working=(1, 1, 0), robot_on_human=5.0)
     seen = dataclasses.replace(
         seen, tools=(dataclasses.replace(seen.tool, **jax.tree.map(jnp.float32, tool)),)
     )
@@ -230,25 +230,25 @@ def test_reward_is_assistive_gyms():
 def test_observations_are_differences_along_world_axes():
     tip, torso, chest = np.array([-0.5, 0.1, 1.1]), np.array([-1, 0.2, 1.0]), LINKS["chest"]
     seen = sensed(
-        tool={"pos_w": tip, "force": 3.0, "on_person": 2.0}, torso_pos_w=torso, robot_on_person=0.5
+        tool={"pos_w": tip, "force": 3.0, "on_human": 2.0}, torso_pos_w=torso, robot_on_human=0.5
     )
-    robot, person = TASK.observe(begin(), seen)
+    robot, human = TASK.observe(begin(), seen)
     arm = [LINKS[f"right_{x}"] for x in ("upper_arm", "forearm", "hand")]
     expected = [
         (robot.tool_pos_torso, tip - torso), (robot.tool_quat_w, AIR["quat_w"]),
         (robot.arm_angles, np.arange(7)), (robot.tool_force, 3.0),
-        (person.tool_pos_person, tip - chest), (person.tool_quat_w, AIR["quat_w"]),
-        (person.person_angles, np.arange(10)),
-        (person.force_on_person, 2.5), (person.tool_on_person, 2.0),
+        (human.tool_pos_human, tip - chest), (human.tool_quat_w, AIR["quat_w"]),
+        (human.human_angles, np.arange(10)),
+        (human.force_on_human, 2.5), (human.tool_on_human, 2.0),
     ]  # fmt: skip
     for joint, link in zip(("shoulder", "elbow", "wrist"), arm, strict=True):
-        expected.append((getattr(robot.helped_arm, f"{joint}_pos_torso"), link - torso))
-        expected.append((getattr(person.helped_arm, f"{joint}_pos_person"), link - chest))
+        expected.append((getattr(robot.assisted_arm, f"{joint}_pos_torso"), link - torso))
+        expected.append((getattr(human.assisted_arm, f"{joint}_pos_human"), link - chest))
     for found, value in expected:
         np.testing.assert_allclose(found, value, atol=1e-6)
     # nobody is told which points are left
     wiped = dataclasses.replace(begin(), dirty=jnp.zeros_like(begin().dirty))
-    jax.tree.map(np.testing.assert_array_equal, (robot, person), TASK.observe(wiped, seen))
+    jax.tree.map(np.testing.assert_array_equal, (robot, human), TASK.observe(wiped, seen))
 
 
 @pytest.mark.parametrize("robot", ["PR2", "Jaco", "Baxter", "Sawyer"])
@@ -273,4 +273,4 @@ def test_markers_are_the_points_that_are_left():
 def test_bed_is_sticky_and_the_person_still():
     # tasks.md section 3, furniture.md section 3: friction 5 of the bed times 0.5 of the person
     assert TASK.seat.friction == 2.5 and TASK.gravity == -1.0
-    assert TASK.person.moving(active=False) == () and len(TASK.person.moving(active=True)) == 10
+    assert TASK.human.moving(active=False) == () and len(TASK.human.moving(active=True)) == 10

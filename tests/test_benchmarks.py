@@ -90,7 +90,9 @@ def test_speed_of_training_counts_every_call_but_the_first(monkeypatch):
     row = training_speed.measure(config, 2, 2)
     assert (row["steps_per_s"], row["steps_per_s_min"], row["steps_per_s_max"]) == (40, 30, 50)
     assert (row["num_envs"], row["devices"], row["learners"]) == (32, 2, 2)
-    assert row["steps"] == 11 * 2 * 32 * 20  # calls, updates of each, worlds, steps of a rollout
+    assert (
+        row["steps"] == 11 * 2 * 32 * 20
+    )  # calls, updates of each, environments, steps of a rollout
 
 
 def test_speed_of_training_an_unknown_environment_says_what_exists(capsys):

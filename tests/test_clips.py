@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from agym_jax.rendering import clips
 from agym_jax.errors import AgymError
+from agym_jax.rendering import clips
 
 
 def film(n: int = 7, height: int = 48, width: int = 64) -> list[np.ndarray]:

@@ -9,9 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cloth_world import DT, NOTHING, sheet
+from cloth_scene import DT, NOTHING, sheet
 from scipy.optimize import brentq
 
+from agym_jax.matter.cloth.garment import load
 from agym_jax.matter.cloth.solver import (
     GATHERS,
     HELD,
@@ -19,13 +20,12 @@ from agym_jax.matter.cloth.solver import (
     Cloth,
     Touch,
     anchor_positions,
-    give_way,
     initial,
+    slip,
     step,
 )  # fmt: skip
-from agym_jax.matter.cloth.garment import load
+from agym_jax.matter.cloth.topology import ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import Capsules
-from agym_jax.matter.cloth.topology import ClothSpec, Fabric, weave
 
 G = 9.81
 
@@ -71,7 +71,7 @@ def lying(spec: ClothSpec, height: float) -> Cloth:
 
 def test_a_strip_hangs_in_a_catenary():
     wide, apart = 1.0, 0.8
-    spec = weave(sheet(wide, 0.05, 0.025, "ends"), Fabric(damping=4.0))
+    spec = build_cloth(sheet(wide, 0.05, 0.025, "ends"), Fabric(damping=4.0))
     v = spec.garment.vertices
     squeezed = v * [apart / wide, 1.0, 1.0]
     sag = 0.25 * (1.0 - (2.0 * v[:, 0] / wide - 1.0) ** 2)
@@ -87,16 +87,16 @@ def test_a_strip_hangs_in_a_catenary():
 
 
 def test_a_hanging_sheet_stretches_by_less_than_3_percent():
-    spec = weave(sheet(0.3, 0.6, 0.025))
+    spec = build_cloth(sheet(0.3, 0.6, 0.025))
     states, _ = run(spec, initial(spec, jnp.zeros(3)), 100)
     assert -states.pos_w[-1][:, 2].min() < 1.03 * 0.6
-    soft = weave(sheet(0.3, 0.6, 0.025), Fabric(stretch=0.1, shear=0.1))
+    soft = build_cloth(sheet(0.3, 0.6, 0.025), Fabric(stretch=0.1, shear=0.1))
     soft = replace(soft, reach=np.full(soft.count, 1e3))  # nor tethered
     assert -run(soft, initial(soft, jnp.zeros(3)), 60)[0].pos_w[-1][:, 2].min() > 1.05 * 0.6
 
 
 def test_the_gown_stretches_by_less_than_3_percent():
-    spec = weave(load())
+    spec = build_cloth(load())
     threads = strains(spec, spec.garment.hanging, spec.fabric.stretch)
     assert threads.mean() < 0.01 and np.quantile(threads, 0.9) < 0.03
     states, touch = run(spec, initial(spec, jnp.zeros(3)), 50)
@@ -105,7 +105,7 @@ def test_the_gown_stretches_by_less_than_3_percent():
 
 
 def test_what_lies_there_weighs_what_it_weighs():
-    spec = loose(weave(sheet(0.3, 0.2, 0.025)))
+    spec = loose(build_cloth(sheet(0.3, 0.2, 0.025)))
     _, touch = run(spec, lying(spec, 0.009), 150, table())
     weight = spec.mass.sum() * G
     felt = touch.net_w[-50:].mean(0)[0]
@@ -118,7 +118,7 @@ def test_what_lies_there_weighs_what_it_weighs():
 def test_a_slow_pull_presses_with_friction_times_weight(friction: float, density: float):
     garment = replace(sheet(0.3, 0.2, 0.025), area_density=density)
     garment = replace(garment, anchors=np.flatnonzero(garment.vertices[:, 0] > 0.299))
-    spec = weave(garment, Fabric(friction=friction))
+    spec = build_cloth(garment, Fabric(friction=friction))
     start = lying(spec, 0.008)
     _, touch = run(spec, start, 200, table(), np.asarray(start.pos_w)[garment.anchors], (0.1, 0, 0))
     felt = touch.net_w[-100:].mean(0)[0]
@@ -128,7 +128,7 @@ def test_a_slow_pull_presses_with_friction_times_weight(friction: float, density
 
 
 def test_the_anchors_feel_what_hangs_and_what_rubs():
-    spec = weave(sheet(0.3, 0.4, 0.025))
+    spec = build_cloth(sheet(0.3, 0.4, 0.025))
     states, touch = run(spec, initial(spec, jnp.zeros(3)), 300)
     weight = spec.mass[spec.held < 0].sum() * G
     np.testing.assert_allclose(touch.grip_w[-100:].mean(0), [0.0, 0.0, weight], atol=0.02 * weight)
@@ -140,7 +140,7 @@ def test_the_anchors_feel_what_hangs_and_what_rubs():
     np.testing.assert_allclose(touch.stretch[-1], (long / edges.rest[rows, ids]).max(), rtol=1e-4)
     garment = sheet(0.3, 0.2, 0.025)
     garment = replace(garment, anchors=np.flatnonzero(garment.vertices[:, 0] > 0.299))
-    spec = weave(garment, Fabric(friction=0.3))
+    spec = build_cloth(garment, Fabric(friction=0.3))
     start = lying(spec, 0.008)
     _, touch = run(spec, start, 200, table(), np.asarray(start.pos_w)[garment.anchors], (0.1, 0, 0))
     np.testing.assert_allclose(
@@ -152,7 +152,7 @@ def test_cloth_slides_through_fingers_while_it_is_stretched():
     def after(slid, stretch, grip):
         nothing = jnp.zeros((0, 3)), jnp.zeros(0)
         felt = Touch(*nothing, jnp.array(grip), jnp.float32(stretch), jnp.array(False))
-        return give_way(jnp.array(slid), felt, DT)
+        return slip(jnp.array(slid), felt, DT)
 
     up = (0.0, 0.0, 2.0)  # the hand pulls upwards, so the cloth slides downwards
     np.testing.assert_allclose(
@@ -166,7 +166,7 @@ def test_cloth_slides_through_fingers_while_it_is_stretched():
 
 
 def test_cloth_that_is_let_go_falls_freely_and_held_cloth_is_as_before():
-    spec = weave(load())
+    spec = build_cloth(load())
     cloth, none = initial(spec, jnp.zeros(3)), NOTHING
     at = anchor_positions(spec, jnp.zeros(3))
     still, held, gone = (
@@ -180,7 +180,7 @@ def test_cloth_that_is_let_go_falls_freely_and_held_cloth_is_as_before():
 
 
 def test_cloth_lies_on_the_floor_whether_held_or_let_go():
-    spec, floor = weave(load()), -0.3
+    spec, floor = build_cloth(load()), -0.3
     at, far = anchor_positions(spec, jnp.zeros(3)), table()
     far = replace(far, a_w=far.a_w + 9.0, b_w=far.b_w + 9.0)
     start = initial(spec, jnp.array([0.0, 0.0, 0.6]))
@@ -207,7 +207,7 @@ def test_cloth_lies_on_the_floor_whether_held_or_let_go():
 
 
 def test_energy_does_not_grow():
-    spec = weave(sheet(0.3, 0.4, 0.025), Fabric(damping=0.0))
+    spec = build_cloth(sheet(0.3, 0.4, 0.025), Fabric(damping=0.0))
     v = spec.garment.vertices
     level = jnp.asarray(v[:, [0, 2, 1]], jnp.float32)  # it will swing
     out = Cloth(level, jnp.zeros_like(level))
@@ -220,7 +220,7 @@ def test_energy_does_not_grow():
 
 
 def test_momentum_changes_by_gravity_only():
-    spec = loose(weave(sheet(0.3, 0.3, 0.025), Fabric(damping=0.0)))
+    spec = loose(build_cloth(sheet(0.3, 0.3, 0.025), Fabric(damping=0.0)))
     rng = np.random.default_rng(0)
     start = initial(spec, jnp.zeros(3))
     start = replace(start, vel_w=jnp.asarray(rng.normal(0, 0.3, start.vel_w.shape), jnp.float32))
@@ -231,7 +231,7 @@ def test_momentum_changes_by_gravity_only():
 
 
 def test_a_solid_that_moves_carries_cloth_along():
-    spec = loose(weave(sheet(0.3, 0.2, 0.025), Fabric(friction=0.5, damping=0.0)))
+    spec = loose(build_cloth(sheet(0.3, 0.2, 0.025), Fabric(friction=0.5, damping=0.0)))
     anchors = anchor_positions(spec, jnp.zeros(3))
 
     def one(cloth, i):
@@ -246,7 +246,7 @@ def test_a_solid_that_moves_carries_cloth_along():
 
 
 def test_worlds_side_by_side_are_worlds_alone():
-    spec = weave(sheet(0.2, 0.2, 0.025))
+    spec = build_cloth(sheet(0.2, 0.2, 0.025))
     anchors, solids = anchor_positions(spec, jnp.zeros(3)), table()
     pos = initial(spec, jnp.zeros(3)).pos_w
     vel = jax.random.normal(jax.random.PRNGKey(0), (3, *pos.shape))
@@ -260,7 +260,7 @@ def test_worlds_side_by_side_are_worlds_alone():
 
 
 def test_cloth_that_blows_up_is_put_back_and_said():
-    spec = weave(sheet(0.2, 0.2, 0.025))
+    spec = build_cloth(sheet(0.2, 0.2, 0.025))
     anchors, cloth = anchor_positions(spec, jnp.zeros(3)), initial(spec, jnp.zeros(3))
     wild = replace(cloth, vel_w=cloth.vel_w.at[40, 1].set(jnp.inf))
     one = jax.jit(lambda c: step(spec, c, table(), table(), anchors, anchors, DT))

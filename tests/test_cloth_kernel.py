@@ -11,31 +11,31 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cloth_world import DT, sheet
+from cloth_scene import DT, sheet
 
 from agym_jax.matter.cloth import solver as fabrics
-from agym_jax.matter.cloth.solver import Cloth, anchor_positions, initial, step
-from agym_jax.matter.cloth.kernel import kernel
 from agym_jax.matter.cloth.garment import load
+from agym_jax.matter.cloth.kernel import kernel
+from agym_jax.matter.cloth.solver import Cloth, anchor_positions, initial, step
+from agym_jax.matter.cloth.topology import ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import Capsules
-from agym_jax.matter.cloth.topology import ClothSpec, Fabric, weave
 
-WORLDS = 3
+NUM_ENVS = 3
 FLOOR = -0.3
 
 
 def small() -> ClothSpec:
     """A sheet of 63 vertices: one less than a program has."""
-    return weave(sheet(0.2, 0.15, 0.025), Fabric(substeps=3))
+    return build_cloth(sheet(0.2, 0.15, 0.025), Fabric(substeps=3))
 
 
-def worlds(spec: ClothSpec) -> tuple[Cloth, Capsules, Capsules, jax.Array]:
+def batch(spec: ClothSpec) -> tuple[Cloth, Capsules, Capsules, jax.Array]:
     """Cloth that moves, two capsules that move into it, and whether it is held."""
     rng = np.random.default_rng(0)
     still = initial(spec, jnp.zeros(3))
-    speed = rng.normal(0.0, 0.5, (WORLDS, spec.count, 3)).astype(np.float32)
-    pos = jnp.broadcast_to(still.pos_w, speed.shape) - 0.05 * jnp.arange(WORLDS)[:, None, None]
-    a = np.tile(np.float32([[0.0, -0.04, -0.1], [0.1, -0.05, -0.05]]), (WORLDS, 1, 1))
+    speed = rng.normal(0.0, 0.5, (NUM_ENVS, spec.count, 3)).astype(np.float32)
+    pos = jnp.broadcast_to(still.pos_w, speed.shape) - 0.05 * jnp.arange(NUM_ENVS)[:, None, None]
+    a = np.tile(np.float32([[0.0, -0.04, -0.1], [0.1, -0.05, -0.05]]), (NUM_ENVS, 1, 1))
     start = Capsules(
         jnp.asarray(a), jnp.asarray(a + np.float32([0.1, 0.0, 0.02])), jnp.full(a.shape[:2], 0.03)
     )
@@ -44,7 +44,7 @@ def worlds(spec: ClothSpec) -> tuple[Cloth, Capsules, Capsules, jax.Array]:
 
 
 def stepped(spec: ClothSpec, steps: int) -> Callable:
-    """A function of ``worlds`` that gives the cloth and what was felt in each of some physics steps."""
+    """A function of ``batch`` that gives the cloth and what was felt in each of some physics steps."""
     at = anchor_positions(spec, jnp.zeros(3))
 
     def run(cloth: Cloth, start: Capsules, end: Capsules, held: jax.Array) -> tuple:
@@ -56,8 +56,8 @@ def stepped(spec: ClothSpec, steps: int) -> Callable:
 
 @pytest.mark.parametrize("whole", [False, True])
 def test_cloth_is_the_same_in_one_kernel(monkeypatch: pytest.MonkeyPatch, whole: bool):
-    spec = weave(load()) if whole else small()
-    given = worlds(spec)
+    spec = build_cloth(load()) if whole else small()
+    given = batch(spec)
     expected = jax.jit(stepped(spec, 1 if whole else 4))(*given)
     monkeypatch.setattr(fabrics, "advance", partial(kernel, interpret=True))
     made = jax.jit(stepped(spec, 1 if whole else 4))(*given)
@@ -71,7 +71,7 @@ def test_cloth_is_the_same_in_one_kernel(monkeypatch: pytest.MonkeyPatch, whole:
 
 def test_a_kernel_without_a_word_on_the_anchors_holds(monkeypatch: pytest.MonkeyPatch):
     spec = small()
-    cloth, start, end, _ = jax.tree.map(lambda x: x[0], worlds(spec))
+    cloth, start, end, _ = jax.tree.map(lambda x: x[0], batch(spec))
     at = anchor_positions(spec, jnp.zeros(3))
     one = lambda held: step(spec, cloth, start, end, at, at, DT, held)[0].pos_w  # noqa: E731
     expected = one(jnp.bool_(True))
@@ -82,7 +82,7 @@ def test_a_kernel_without_a_word_on_the_anchors_holds(monkeypatch: pytest.Monkey
 @pytest.mark.parametrize("interpret", [False, True])
 def test_a_solid_that_is_nowhere_breaks_the_cloth(monkeypatch: pytest.MonkeyPatch, interpret: bool):
     spec = small()
-    cloth, start, end, held = jax.tree.map(lambda x: x[0], worlds(spec))
+    cloth, start, end, held = jax.tree.map(lambda x: x[0], batch(spec))
     at, lost = anchor_positions(spec, jnp.zeros(3)), replace(end, a_w=end.a_w.at[0].set(jnp.nan))
     if interpret:
         monkeypatch.setattr(fabrics, "advance", partial(kernel, interpret=True))
@@ -91,14 +91,14 @@ def test_a_solid_that_is_nowhere_breaks_the_cloth(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_gpu_runs_one_kernel_in_a_physics_step():
-    spec = weave(load())
-    lowered = jax.jit(stepped(spec, 1)).trace(*worlds(spec)).lower(lowering_platforms=("cuda",))
+    spec = build_cloth(load())
+    lowered = jax.jit(stepped(spec, 1)).trace(*batch(spec)).lower(lowering_platforms=("cuda",))
     assert lowered.as_text().count("__gpu$xla.gpu.triton") == 1
 
 
 def test_cloth_has_derivatives():
     spec = small()
-    cloth, start, end, held = jax.tree.map(lambda x: x[0], worlds(spec))
+    cloth, start, end, held = jax.tree.map(lambda x: x[0], batch(spec))
     at = anchor_positions(spec, jnp.zeros(3))
 
     def height(lift: jax.Array) -> jax.Array:

@@ -14,29 +14,29 @@ from fake_pair_env import FakePairEnv
 from products import full
 from train_runs import check_continued, check_restored, kill_in_training, listening, same_bytes
 
+from agym_jax.policy.policy import load_policy
 from train import coop, ppo
-from train.evaluation.agents import Pair, baseline_policy
-from train.runs.checkpoint import checkpoint_files
 from train.configs import CoopConfig, PPOConfig
 from train.envs import parts
 from train.errors import ActiveHumanError, CheckpointMismatchError, ConfigError
 from train.evaluate import Evaluator
-from agym_jax.policy.policy import load_policy
-from train.runs.result import summary
-from train.learning.rollout import collect, everything, first_worlds
+from train.evaluation.agents import Pair, baseline_policy
 from train.learning.agents import TwoLearners
+from train.learning.rollout import collect, everything, init_rollout
+from train.runs.checkpoint import checkpoint_files
+from train.runs.result import summary
 
 CONFIG = CoopConfig(
     env_name="FakeCarryHuman-v0",
     num_env_steps=60_000,
-    num_processes=32,
+    num_envs=32,
     num_mini_batch=4,
     policy_hidden=(32,),
     value_hidden=(32,),
     lr=2e-3,
     log_interval=8,
 )
-SMALL = dataclasses.replace(CONFIG, num_processes=4, num_env_steps=80, save_dir=None)
+SMALL = dataclasses.replace(CONFIG, num_envs=4, num_env_steps=80, save_dir=None)
 CRITICS = pytest.mark.parametrize("central", [False, True], ids=["own critic", "central critic"])
 
 
@@ -51,21 +51,21 @@ def trained(tmp_path_factory):
 def updated(config, env=None):
     """Two learners, a rollout of theirs and what follows it."""
     env = env or FakePairEnv()
-    venv, algorithm = env.vectorize(config.num_processes), TwoLearners(config, env)
+    venv, algorithm = env.vectorize(config.num_envs), TwoLearners(config, env)
     learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
-    worlds = jax.jit(lambda key: first_worlds(venv, key, True))(jax.random.PRNGKey(1))
-    worlds, batch, _ = jax.jit(
-        lambda worlds, key: collect(
+    batch = jax.jit(lambda key: init_rollout(venv, key, True))(jax.random.PRNGKey(1))
+    batch, batch, _ = jax.jit(
+        lambda batch, key: collect(
             lambda obs, key: algorithm.act(learner, obs, key),
             venv,
-            worlds,
+            batch,
             key,
             num_steps=config.num_steps,
             gamma=config.gamma,
             reward_scaling=1.0,
         )
-    )(worlds, jax.random.PRNGKey(2))
-    return algorithm, learner, batch, everything(worlds.env_state)
+    )(batch, jax.random.PRNGKey(2))
+    return algorithm, learner, batch, everything(batch.env_state)
 
 
 def with_other_weights(learner, agent):
@@ -80,10 +80,10 @@ def test_two_learn_together_what_neither_can_do_alone(trained):
     _, result = trained
     assert result.curve[0]["success"] < 0.5 and result.last("success") > 0.9
     measure, key = Evaluator(FakePairEnv(), 64), jax.random.PRNGKey(3)
-    robot, person, idle = *result.policies.values(), baseline_policy("zero", 1)
-    assert measure(Pair(robot, person, 2), key).success > 0.95
+    robot, human, idle = *result.policies.values(), baseline_policy("zero", 1)
+    assert measure(Pair(robot, human, 2), key).success > 0.95
     assert measure(Pair(robot, idle, 2), key).success == 0
-    assert measure(Pair(idle, person, 2), key).success == 0
+    assert measure(Pair(idle, human, 2), key).success == 0
 
 
 def test_both_are_trained_in_one_compiled_program(trained):
@@ -96,21 +96,21 @@ def test_the_folder_has_both_policies(trained):
     env, result = trained
     names = {p.name for p in result.folder.iterdir()}
     assert names >= {"config.json", "curve.jsonl", "curve.png", "checkpoints"}
-    assert {n for n in names if n.endswith(".npz")} == {"policy.npz", "person_policy.npz"}
+    assert {n for n in names if n.endswith(".npz")} == {"policy.npz", "human_policy.npz"}
     obs = jax.random.normal(jax.random.PRNGKey(0), (5, 3))
-    for agent, name in (("robot", "policy.npz"), ("person", "person_policy.npz")):
+    for agent, name in (("robot", "policy.npz"), ("human", "human_policy.npz")):
         policy = load_policy(result.folder / name, env, agent=agent)
         assert policy.info["agent"] == agent and policy.info["env_steps"] == result.env_steps
         seen = obs[:, : env.observation_sizes[agent]]
         assert np.array_equal(policy(seen), result.policies[agent](seen))
     config = json.loads((result.folder / "config.json").read_text())["config"]
     assert config["central_critic"] is False and config["env_name"] == "FakeCarryHuman-v0"
-    assert {"loss/robot/kl", "loss/person/kl", "loss/person/value_loss"} <= result.curve[0].keys()
+    assert {"loss/robot/kl", "loss/human/kl", "loss/human/value_loss"} <= result.curve[0].keys()
     assert "Policies" in summary(result)
 
 
 @CRITICS
-@pytest.mark.parametrize("agent", ["robot", "person"])
+@pytest.mark.parametrize("agent", ["robot", "human"])
 def test_an_action_does_not_depend_on_what_the_other_sees_by_one_bit(central, agent):
     config = dataclasses.replace(SMALL, central_critic=central)
     algorithm = TwoLearners(config, FakePairEnv())
@@ -146,7 +146,7 @@ def test_acting_and_learning_never_round_to_tf32():
 
 
 @CRITICS
-@pytest.mark.parametrize(("agent", "other"), [("robot", "person"), ("person", "robot")])
+@pytest.mark.parametrize(("agent", "other"), [("robot", "human"), ("human", "robot")])
 def test_given_the_batch_learning_does_not_depend_on_the_other_networks(central, agent, other):
     algorithm, learner, batch, last = updated(dataclasses.replace(SMALL, central_critic=central))
     learn = jax.jit(algorithm.learn)
@@ -174,7 +174,7 @@ def test_a_central_critic_reads_both_and_a_policy_never_does():
     after, _ = jax.jit(algorithm.learn)(
         learner, batch, last, jax.random.PRNGKey(3), jnp.float32(800)
     )
-    statistics = after.members["person"].value_normalizer
+    statistics = after.members["human"].value_normalizer
     assert np.allclose(statistics.mean, batch.obs.mean((0, 1)), atol=1e-5)
     run = coop.train(FakePairEnv(), dataclasses.replace(SMALL, central_critic=True))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(run.learner.members))
@@ -182,7 +182,7 @@ def test_a_central_critic_reads_both_and_a_policy_never_does():
 
 @CRITICS
 def test_value_functions_read_what_is_hidden_and_policies_never_do(central):
-    env = FakePairEnv(hidden_size=1)
+    env = FakePairEnv(privileged_obs_size=1)
     config = dataclasses.replace(SMALL, central_critic=central)
     algorithm, learner, batch, last = updated(config, env)
     assert batch.value_obs.shape[-1] == last.shape[-1] == 6
@@ -198,7 +198,7 @@ def test_value_functions_read_what_is_hidden_and_policies_never_do(central):
         view = agent.view(batch)
         assert view.obs.shape[-1] == own and np.array_equal(view.value_obs[..., -1], clock)
         ended = batch.done > 0
-        assert (view.terminal_obs[..., -1][ended] == 1.0).all() and (clock < 1.0).all()
+        assert (view.final_observation[..., -1][ended] == 1.0).all() and (clock < 1.0).all()
     blind = TwoLearners(dataclasses.replace(config, privileged_critic=False), env)
     assert [agent.value_size for agent in blind.agents] == ([5, 5] if central else [None, None])
     run = coop.train(env, dataclasses.replace(config, privileged_critic=False))
@@ -206,8 +206,8 @@ def test_value_functions_read_what_is_hidden_and_policies_never_do(central):
 
 
 def test_one_learner_reads_what_is_hidden_too():
-    env = FakePairEnv(active=False, hidden_size=1)
-    config = PPOConfig(**{k: getattr(SMALL, k) for k in ("num_processes", "num_mini_batch")})
+    env = FakePairEnv(active=False, privileged_obs_size=1)
+    config = PPOConfig(**{k: getattr(SMALL, k) for k in ("num_envs", "num_mini_batch")})
     config = dataclasses.replace(config, num_env_steps=80, save_dir=None)
     run = ppo.train(env, config)
     assert run.learner.value_normalizer.mean.shape == (3,) and run.policy.mean.shape == (2,)
@@ -234,10 +234,10 @@ def test_a_killed_run_of_two_goes_on_from_its_last_checkpoint(tmp_path):
     assert result.last("success") > 0.9
 
 
-@pytest.mark.parametrize(("frozen", "learns"), [("robot", "person"), ("person", "robot")])
+@pytest.mark.parametrize(("frozen", "learns"), [("robot", "human"), ("human", "robot")])
 def test_a_frozen_agent_stays_as_it_is_and_the_other_learns(trained, tmp_path, frozen, learns):
     env, result = trained
-    file = result.folder / {"robot": "policy.npz", "person": "person_policy.npz"}[frozen]
+    file = result.folder / {"robot": "policy.npz", "human": "human_policy.npz"}[frozen]
     config = dataclasses.replace(
         CONFIG,
         num_env_steps=30_000,
@@ -260,14 +260,14 @@ def test_a_frozen_agent_stays_as_it_is_and_the_other_learns(trained, tmp_path, f
 
 def test_a_frozen_agent_acts_by_its_mode(trained):
     _, result = trained
-    file = result.folder / "person_policy.npz"
-    config = dataclasses.replace(SMALL, person_policy=str(file), freeze_person=True)
+    file = result.folder / "human_policy.npz"
+    config = dataclasses.replace(SMALL, human_policy=str(file), freeze_human=True)
     algorithm = TwoLearners(config, FakePairEnv())
     learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
     obs = jax.random.normal(jax.random.PRNGKey(1), (64, 5))
     action, _, _ = algorithm.act(learner, obs, jax.random.PRNGKey(2))
-    person = result.policies["person"](obs[:, 2:])
-    assert np.allclose(action[:, 1:], person, atol=1e-5)
+    human = result.policies["human"](obs[:, 2:])
+    assert np.allclose(action[:, 1:], human, atol=1e-5)
 
 
 def test_a_robot_can_start_from_what_it_learned_with_a_person_who_holds_still(tmp_path):
@@ -289,10 +289,10 @@ def test_a_robot_can_start_from_what_it_learned_with_a_person_who_holds_still(tm
 
 
 def test_someone_has_to_learn_and_a_frozen_agent_needs_a_policy():
-    with pytest.raises(ConfigError, match=r"--freeze-person keeps .* needs --person-policy FILE"):
-        CoopConfig(freeze_person=True)
+    with pytest.raises(ConfigError, match=r"--freeze-human keeps .* needs --human-policy FILE"):
+        CoopConfig(freeze_human=True)
     with pytest.raises(ConfigError, match=r"leaves nobody to learn.*train\.evaluate"):
-        CoopConfig(robot_policy="r", person_policy="p", freeze_robot=True, freeze_person=True)
+        CoopConfig(robot_policy="r", human_policy="p", freeze_robot=True, freeze_human=True)
 
 
 def test_a_person_who_holds_still_is_refused():
@@ -307,7 +307,7 @@ def test_one_trainer_does_not_continue_a_run_of_the_other(trained, tmp_path):
     _, result = trained
     joint = PPOConfig(
         num_env_steps=80,
-        num_processes=4,
+        num_envs=4,
         save_dir=str(result.folder.parent),
         allow_joint_observation=True,
     )
@@ -327,8 +327,8 @@ def test_ppo_sends_people_who_act_to_this_trainer():
 def test_a_real_pair_is_cut_where_the_robot_of_the_still_person_ends(static_env, active_env):
     agents, alone = parts(active_env), parts(static_env)
     assert agents["robot"] == alone["robot"] and list(alone) == ["robot"]
-    assert (agents["robot"].sizes, agents["person"].sizes) == ((30, 7), (34, 10))
-    assert agents["person"].observed == slice(30, 64) and agents["person"].acted == slice(7, 17)
+    assert (agents["robot"].sizes, agents["human"].sizes) == ((30, 7), (34, 10))
+    assert agents["human"].observed == slice(30, 64) and agents["human"].acted == slice(7, 17)
     assert agents["joint"].sizes == (64, 17)
     assert len({part.layout for part in agents.values()}) == 3
 

@@ -15,9 +15,8 @@ from fake_pair_env import FakePairEnv, RobotSees
 
 from agym_jax import observe
 from agym_jax.observe import column
+from agym_jax.policy.policy import load_policy, save_policy
 from train import crossplay, enjoy, evaluate
-from train.evaluation.agents import Pair, baseline_policy, find_policies, load_policies
-from train.learning.algorithm import OneLearner
 from train.configs import CoopConfig, PPOConfig
 from train.crossplay import STILL
 from train.errors import (
@@ -28,16 +27,17 @@ from train.errors import (
     PolicyNotFoundError,
 )
 from train.evaluate import Evaluator
-from agym_jax.policy.policy import load_policy, save_policy
-from train.runs.folder import RunFolder
+from train.evaluation.agents import Pair, baseline_policy, find_policies, load_policies
 from train.learning.agents import TwoLearners
+from train.learning.algorithm import OneLearner
+from train.runs.folder import RunFolder
 
 NAME, STILL_NAME = "FakeCarryHuman-v0", "FakeCarry-v0"
 SMALL = {"policy_hidden": (8,), "value_hidden": (8,), "policy_head_gain": 1.0}
 
 
 @observe.observation
-class LaterPersonSees:
+class LaterHumanSees:
     """What the person sees in a later version."""
 
     cart: jax.Array = column(1, "m", "world", "")
@@ -74,7 +74,7 @@ def runs(tmp_path_factory):
     return SimpleNamespace(
         root=root,
         robot=root / "a" / NAME / "policy.npz",
-        person=root / "a" / NAME / "person_policy.npz",
+        human=root / "a" / NAME / "human_policy.npz",
         joint=root / "joint" / NAME / "policy.npz",
         still=root / "still" / STILL_NAME / "policy.npz",
         other=root / "other" / other.name,
@@ -88,10 +88,10 @@ def returns_of(policy, env=None, seed=1001, episodes=6):
 def test_each_of_a_pair_is_asked_with_its_own_columns(runs):
     env = make(NAME)
     robot = load_policy(runs.robot, env, agent="robot")
-    person = load_policy(runs.person, env, agent="person")
+    human = load_policy(runs.human, env, agent="human")
     obs = jax.random.normal(jax.random.PRNGKey(0), (7, 5))
-    both = Pair(robot, person, robot_columns=2)(obs)
-    assert np.array_equal(both, jnp.concatenate([robot(obs[:, :2]), person(obs[:, 2:])], -1))
+    both = Pair(robot, human, robot_columns=2)(obs)
+    assert np.array_equal(both, jnp.concatenate([robot(obs[:, :2]), human(obs[:, 2:])], -1))
     with pytest.raises(ValueError, match="needs a key"):
         Pair(robot, baseline_policy("random", 1), 2)(obs)
 
@@ -105,19 +105,19 @@ def test_the_matrix_has_every_pair_and_the_person_who_holds_still(runs, tmp_path
 
     words = ["--env-name", NAME, "--num-episodes", "6", "--json", str(out)]
     words += ["--runs", str(runs.root / "a"), str(runs.root / "b")]
-    words += ["--robots", str(runs.still), "zero", "--people", "zero"]
+    words += ["--robots", str(runs.still), "zero", "--humans", "zero"]
     assert crossplay.main(words, kept) == 0
     text = capsys.readouterr().out
     assert all(name in text for name in (str(runs.robot), str(runs.still), "R4", "P4", STILL))
     lines = [json.loads(line) for line in out.read_text().splitlines()]
-    cells = {(line["robot_policy"], line["person_policy"]): line for line in lines}
+    cells = {(line["robot_policy"], line["human_policy"]): line for line in lines}
     assert len(lines) == len(cells) == 4 * 4
-    assert {line["env"] for line in lines if line["person_policy"] is None} == {STILL_NAME}
+    assert {line["env"] for line in lines if line["human_policy"] is None} == {STILL_NAME}
     assert {line["kind"] for line in lines} == {"crossplay"}
 
-    second = load_policy(runs.root / "b" / NAME / "person_policy.npz")
+    second = load_policy(runs.root / "b" / NAME / "human_policy.npz")
     crossed = returns_of(Pair(load_policy(runs.robot), second, 2))
-    cell = cells[str(runs.robot), str(runs.root / "b" / NAME / "person_policy.npz")]
+    cell = cells[str(runs.robot), str(runs.root / "b" / NAME / "human_policy.npz")]
     assert cell["return_mean"] == pytest.approx(crossed.mean(), rel=1e-5)
     alone = returns_of(load_policy(runs.still), make(STILL_NAME))
     assert cells[str(runs.still), None]["return_mean"] == pytest.approx(alone.mean(), rel=1e-5)
@@ -126,8 +126,8 @@ def test_the_matrix_has_every_pair_and_the_person_who_holds_still(runs, tmp_path
 
 
 def test_the_columns_can_be_left_out(runs, capsys):
-    words = f"--env-name {NAME} --num-episodes 2 --robots {runs.robot} --people {runs.person}"
-    assert crossplay.main([*words.split(), "--no-still-person"], make) == 0
+    words = f"--env-name {NAME} --num-episodes 2 --robots {runs.robot} --humans {runs.human}"
+    assert crossplay.main([*words.split(), "--no-still-human"], make) == 0
     assert STILL not in capsys.readouterr().out
     assert crossplay.main(f"--env-name {NAME} --num-episodes 2 --robots zero".split(), make) == 0
     assert "P2" not in capsys.readouterr().out
@@ -137,15 +137,15 @@ def test_the_columns_can_be_left_out(runs, capsys):
     ("words", "error", "text"),
     [
         ("", ConfigError, "--runs DIR"),
-        ("--people zero", ConfigError, "--robots FILE"),
-        ("--robots zero --no-still-person", ConfigError, "--people FILE"),
+        ("--humans zero", ConfigError, "--robots FILE"),
+        ("--robots zero --no-still-human", ConfigError, "--humans FILE"),
         ("--robots nowhere.npz", PolicyNotFoundError, "nowhere.npz"),
         ("--runs nowhere", PolicyNotFoundError, "nowhere"),
         ("--robots {person}", PolicyEnvironmentError, "moves the person"),
-        ("--robots zero --people {robot}", PolicyEnvironmentError, "moves the robot"),
+        ("--robots zero --humans {robot}", PolicyEnvironmentError, "moves the robot"),
         ("--robots {joint}", PolicyEnvironmentError, "robot and person at once"),
         ("--robots {other}/policy.npz", PolicyEnvironmentError, "'FakePullHuman-v0'"),
-        ("--robots zero --people {other}/person_policy.npz", PolicyEnvironmentError, "FakePull"),
+        ("--robots zero --humans {other}/person_policy.npz", PolicyEnvironmentError, "FakePull"),
     ],
 )
 def test_what_cannot_be_crossed_is_refused_by_name(runs, capsys, words, error, text):
@@ -161,57 +161,57 @@ def test_a_matrix_needs_people_who_act(capsys):
     assert said.startswith(ActiveHumanError.__name__) and f"Both act in '{NAME}'" in said
 
 
-def loaded(name, load_dir=None, policy=None, person=None, env=None):
+def loaded(name, load_dir=None, policy=None, human=None, env=None):
     """What the command lines of evaluate and enjoy load."""
-    files = find_policies(name, *(x and str(x) for x in (load_dir, policy, person)))
+    files = find_policies(name, *(x and str(x) for x in (load_dir, policy, human)))
     return load_policies(files, env or make(name))
 
 
 def test_a_run_of_coop_is_loaded_with_both_policies(runs):
     pair = loaded(NAME, runs.root / "a")
     assert isinstance(pair, Pair)
-    assert [p.info["agent"] for p in (pair.robot, pair.person)] == ["robot", "person"]
+    assert [p.info["agent"] for p in (pair.robot, pair.human)] == ["robot", "human"]
     assert loaded(NAME, runs.root / "joint").info["agent"] == "joint"
 
 
 def test_any_robot_goes_with_any_person_of_its_task(runs):
     obs = jnp.ones((3, 5))
     for robot in (runs.robot, runs.still, "zero"):
-        for person in (runs.person, "random"):
-            pair = loaded(NAME, None, robot, person)
+        for human in (runs.human, "random"):
+            pair = loaded(NAME, None, robot, human)
             assert pair(obs, jax.random.PRNGKey(0)).shape == (3, 2)
-    assert loaded(NAME, runs.root / "a", None, "zero").person.name == "zero"
+    assert loaded(NAME, runs.root / "a", None, "zero").human.name == "zero"
     assert loaded(STILL_NAME, None, runs.robot)(obs[:, :2]).shape == (3, 1)
     assert loaded(NAME, None, "zero")(obs).shape == (3, 2)
 
 
 @pytest.mark.parametrize(
-    ("name", "policy", "person", "error", "text"),
+    ("name", "policy", "human", "error", "text"),
     [
         (STILL_NAME, "zero", "zero", PolicyEnvironmentError, f"Leave it out, .*{NAME}"),
-        (STILL_NAME, "{person}", None, PolicyEnvironmentError, "moves the person.*--person-policy"),
-        (NAME, "{robot}", None, PolicyEnvironmentError, "goes with --policy, and a --person-pol"),
-        (NAME, "{still}", None, PolicyEnvironmentError, "goes with --policy, and a --person-pol"),
+        (STILL_NAME, "{human}", None, PolicyEnvironmentError, "moves the person.*--human-policy"),
+        (NAME, "{robot}", None, PolicyEnvironmentError, "goes with --policy, and a --human-pol"),
+        (NAME, "{still}", None, PolicyEnvironmentError, "goes with --policy, and a --human-pol"),
         (NAME, "{joint}", "zero", PolicyEnvironmentError, "goes with --policy alone"),
-        (NAME, "{person}", "{person}", PolicyEnvironmentError, "not the robot of"),
+        (NAME, "{human}", "{human}", PolicyEnvironmentError, "not the robot of"),
         (NAME, "zero", "{robot}", PolicyEnvironmentError, "not the person of"),
-        (NAME, "zero", "{other}/person_policy.npz", PolicyEnvironmentError, "trained in 'FakePull"),
+        (NAME, "zero", "{other}/human_policy.npz", PolicyEnvironmentError, "trained in 'FakePull"),
         (NAME, "{other}/policy.npz", "zero", PolicyEnvironmentError, f"'{STILL_NAME}' or '{NAME}'"),
         (NAME, "zero", "nowhere.npz", PolicyNotFoundError, "nowhere.npz"),
     ],
 )
 def test_policies_that_do_not_fit_are_refused_with_what_would(
-    runs, name, policy, person, error, text
+    runs, name, policy, human, error, text
 ):
-    policy, person = (x and x.format(**vars(runs)) for x in (policy, person))
+    policy, human = (x and x.format(**vars(runs)) for x in (policy, human))
     with pytest.raises(error, match=text):
-        loaded(name, None, policy, person)
+        loaded(name, None, policy, human)
 
 
 def test_a_person_of_another_layout_or_version_is_refused(runs):
-    later = SimpleNamespace(robot_obs=RobotSees, person_obs=LaterPersonSees)
+    later = SimpleNamespace(robot_obs=RobotSees, human_obs=LaterHumanSees)
     env = make(NAME, task=later)
-    pair = (runs.robot, runs.person)
+    pair = (runs.robot, runs.human)
     with pytest.raises(PolicyLayoutError, match=r"person_policy.npz reads .*agym_jax.*0\.1\.0"):
         loaded(NAME, None, *pair, env=env)
     env = make(NAME)
@@ -230,11 +230,11 @@ def test_a_policy_of_before_there_were_two_learners_is_a_robots(runs, tmp_path):
 
 def test_the_command_lines_evaluate_and_show_a_pair(runs, tmp_path, capsys):
     out = tmp_path / "lines.jsonl"
-    words = f"--env-name {NAME} --policy {runs.still} --person-policy {runs.person}".split()
+    words = f"--env-name {NAME} --policy {runs.still} --human-policy {runs.human}".split()
     assert evaluate.main([*words, "--num-episodes", "4", "--json", str(out)], make) == 0
     assert f"{NAME}, 4 episodes" in capsys.readouterr().out
     line = json.loads(out.read_text())
-    assert (line["policy"], line["person_policy"]) == (str(runs.still), str(runs.person))
+    assert (line["policy"], line["human_policy"]) == (str(runs.still), str(runs.human))
 
     sheet = tmp_path / "a.png"
     drawing = f"--sheet {sheet} --width 32 --height 24 --backend raycast".split()
@@ -242,4 +242,4 @@ def test_the_command_lines_evaluate_and_show_a_pair(runs, tmp_path, capsys):
     assert "episode 1, seed 1001: 20 steps" in capsys.readouterr().out
     assert sheet.read_bytes()[:4] == b"\x89PNG"
     assert evaluate.main(f"--env-name {STILL_NAME} {' '.join(words[2:])}".split(), make) == 2
-    assert "holds still and needs no --person-policy" in capsys.readouterr().err
+    assert "holds still and needs no --human-policy" in capsys.readouterr().err

@@ -24,7 +24,7 @@ from jax.sharding import PartitionSpec as P
 from fake_pair_env import FakePairEnv
 from train.learning.algorithm import OneLearner
 from train.configs import CoopConfig, PPOConfig
-from train.learning.rollout import collect, first_worlds
+from train.learning.rollout import collect, init_rollout
 from train.learning.agents import TwoLearners
 from train.learning.update import AXIS, device_mesh
 
@@ -40,16 +40,16 @@ found = {}
 for name, algorithm in algorithms.items():
     venv = env.vectorize(8)
     learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
-    worlds = first_worlds(venv, jax.random.PRNGKey(1), True)
-    worlds, batch, _ = jax.jit(lambda worlds: collect(
-        lambda obs, key: algorithm.act(learner, obs, key), venv, worlds, jax.random.PRNGKey(2),
-        num_steps=30, gamma=0.99, reward_scaling=1.0))(worlds)
+    batch = init_rollout(venv, jax.random.PRNGKey(1), True)
+    batch, batch, _ = jax.jit(lambda batch: collect(
+        lambda obs, key: algorithm.act(learner, obs, key), venv, batch, jax.random.PRNGKey(2),
+        num_steps=30, gamma=0.99, reward_scaling=1.0))(batch)
     key, total = jax.random.PRNGKey(3), jnp.float32(1000)
 
     def learn(learner, batch, last, axis=None):
         return algorithm.learn(learner, batch, last, key, total, axis)
 
-    last = worlds.env_state.obs
+    last = batch.env_state.obs
     whole, losses = jax.jit(learn)(learner, batch, last)
     shared = jax.shard_map(
         lambda *x: learn(*x, axis=AXIS), mesh=device_mesh(0), check_vma=False,
@@ -72,32 +72,32 @@ for name, algorithm in algorithms.items():
 print(json.dumps(found))
 """
 
-# Worlds, and a constant, with arrays that have no elements, on two devices.
+# Environments, and a constant, with arrays that have no elements, on two devices.
 EMPTY = """
 import json
 import jax, jax.numpy as jnp
-from train.learning.update import device_mesh, places, spread
+from train.learning.update import device_mesh, shardings, shard
 
 nothing, three = jnp.zeros((0, 2)), jnp.arange(3.0)
 
 def first(key):
     return {"none": jnp.zeros((2, 0), jnp.int32), "x": jax.random.normal(key, (2,)) + nothing.sum()}
 
-def run(learner, worlds, count, total_steps):
-    assert worlds["none"].shape == (2, 0) and worlds["none"].dtype == jnp.int32
-    moved = worlds["x"] + three.sum() + learner + nothing.sum()
-    return learner, worlds | {"x": moved}, {"sum": jax.lax.psum(moved.sum(), "worlds")}
+def run(learner, batch, count, total_steps):
+    assert batch["none"].shape == (2, 0) and batch["none"].dtype == jnp.int32
+    moved = batch["x"] + three.sum() + learner + nothing.sum()
+    return learner, batch | {"x": moved}, {"sum": jax.lax.psum(moved.sum(), "batch")}
 
 mesh = device_mesh(0)
-common, own = places(mesh)
-first, run = spread(mesh, first, run)
+common, own = shardings(mesh)
+first, run = shard(mesh, first, run)
 begin = jax.jit(first, out_shardings=own).lower(jax.random.PRNGKey(0))
-worlds = begin.compile()(jax.random.PRNGKey(0))
-go = jax.jit(run, out_shardings=(common, own, common)).lower(jnp.float32(1), worlds, 1, 1.0)
-_, after, totals = go.compile()(jnp.float32(1), worlds, 1, 1.0)
+batch = begin.compile()(jax.random.PRNGKey(0))
+go = jax.jit(run, out_shardings=(common, own, common)).lower(jnp.float32(1), batch, 1, 1.0)
+_, after, totals = go.compile()(jnp.float32(1), batch, 1, 1.0)
 print(json.dumps({
-    "empty": str(worlds["none"]), "moved": (after["x"] - worlds["x"]).tolist(),
-    "apart": float(abs(worlds["x"][0] - worlds["x"][1]).min()),
+    "empty": str(batch["none"]), "moved": (after["x"] - batch["x"]).tolist(),
+    "apart": float(abs(batch["x"][0] - batch["x"][1]).min()),
     "sum": float(totals["sum"]), "is": float(after["x"].sum()), "text": begin.as_text() + go.as_text()}))
 """
 
@@ -111,7 +111,7 @@ from train.configs import CoopConfig, PPOConfig
 from train.errors import ConfigError
 from train import coop, ppo
 
-BASE = dict(num_env_steps=60_000, num_processes=32, num_mini_batch=4, policy_hidden=(32,),
+BASE = dict(num_env_steps=60_000, num_envs=32, num_mini_batch=4, policy_hidden=(32,),
             value_hidden=(32,), lr=2e-3, log_interval=8, save_dir=None)
 config = CoopConfig(**BASE)
 found = {"devices": jax.device_count()}
@@ -121,7 +121,7 @@ for devices in (1, 2):
         "success": result.last("success"), "steps": result.env_steps,
         "episodes": sum(row["episodes"] for row in result.curve),
         "used": result.config.devices,
-        "here": len(jax.tree.leaves(result.learner)[0].devices()),
+        "to_host": len(jax.tree.leaves(result.learner)[0].devices()),
     }
 with tempfile.TemporaryDirectory() as folder:
     short = dataclasses.replace(config, save_dir=folder, num_env_steps=640 * 8)
@@ -133,7 +133,7 @@ with tempfile.TemporaryDirectory() as folder:
     found["sessions"], found["rows"] = steps, [row["env_steps"] for row in result.curve]
 single = PPOConfig(**{**BASE, "num_env_steps": 640 * 4})
 found["ppo"] = ppo.train(FakePairEnv(active=False), single).config.devices
-for fields in ({"devices": 3}, {"num_processes": 33}):
+for fields in ({"devices": 3}, {"num_envs": 33}):
     try:
         coop.train(FakePairEnv(), dataclasses.replace(config, **fields))
     except ConfigError as error:
@@ -156,7 +156,7 @@ def kept(*arguments):
 coop.train = kept
 status = coop.main(words, lambda *_: FakePairEnv())
 result = made[0]
-weights = sum(float(abs(x).sum()) for x in jax.tree.leaves(result.learner.members["person"].params))
+weights = sum(float(abs(x).sum()) for x in jax.tree.leaves(result.learner.members["human"].params))
 print(json.dumps({{"status": status, "hosts": jax.process_count(), "devices": jax.device_count(),
     "returns": [row["return"] for row in result.curve], "weights": weights, "steps": result.env_steps,
     "writes": result.folder is not None}}))
@@ -196,7 +196,7 @@ def test_training_on_two_devices_is_as_good_as_on_one():
     found = last_line(piped(TRAINING, env=TWO))
     assert found["devices"] == 2 and found["ppo"] == 2
     one, two = found["on 1"], found["on 2"]
-    assert (one["used"], two["used"]) == (1, 2) and two["here"] == 1
+    assert (one["used"], two["used"]) == (1, 2) and two["to_host"] == 1
     assert one["success"] > 0.9 and two["success"] > 0.9
     assert one["steps"] == two["steps"] == 94 * 640
     assert abs(one["episodes"] - two["episodes"]) <= 32
@@ -204,7 +204,7 @@ def test_training_on_two_devices_is_as_good_as_on_one():
     assert found["rows"] == [640 * 8, 640 * 16, 640 * 24]
     too_many, odd = found["refused"]
     assert "--devices 3 were asked for; JAX sees 2 (cpu)" in too_many
-    assert "33 worlds cannot be shared by 2 devices" in odd and "--num-processes 32" in odd
+    assert "33 environments cannot be shared by 2 devices" in odd and "--num-envs 32" in odd
 
 
 def free_port() -> int:
@@ -225,7 +225,7 @@ def test_two_hosts_train_one_policy_and_one_of_them_writes(tmp_path):
     assert (first["writes"], second["writes"]) == (True, False)
     same = ("returns", "weights", "steps", "devices")
     assert [first[name] for name in same] == [second[name] for name in same]
-    assert (tmp_path / "FakeCarryHuman-v0" / "person_policy.npz").is_file()
+    assert (tmp_path / "FakeCarryHuman-v0" / "human_policy.npz").is_file()
 
 
 def test_hosts_are_named_by_address_count_and_index():

@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cloth_world import Pull, before_hand, draw_pull, pull_on
-from meal_world import CHEST, FAR, TORSO, arrays, sensed
+from cloth_scene import Pull, before_hand, draw_pull, pull_on
+from meal_scene import CHEST, FAR, TORSO, arrays, sensed
 
 from agym_jax import observe
-from agym_jax.matter.cloth.solver import LET_GO
 from agym_jax.matter.cloth.sleeve import Worn
+from agym_jax.matter.cloth.solver import LET_GO
 from agym_jax.robots import ROBOTS
 from agym_jax.spec import Preferences
 from agym_jax.tasks.dressing import (
@@ -60,7 +60,7 @@ def seen(path: np.ndarray | None = None, **tool):
     )
     return replace(
         s, motion=moved, link_pos_w=s.link_pos_w | arrays(places), link_rot_w=s.link_rot_w | arrays(turns),
-        person_angles=jnp.arange(10.0),
+        human_angles=jnp.arange(10.0),
     )  # fmt: skip
 
 
@@ -133,7 +133,7 @@ def test_the_gown_turns_like_a_caster_towards_where_it_is_pulled():
 def test_reward_is_assistive_gyms():
     """R = r_dress - 0.01 |a|^2 - 0.25 v - 0.01 sum |f|; the robot's touch costs nothing."""
     state = replace(start(), dressed=jnp.float32(0.37), force=jnp.arange(10.0))
-    now = seen(vel_w=np.array([0.0, 0.3, 0.4]), on_person=12.0)
+    now = seen(vel_w=np.array([0.0, 0.3, 0.4]), on_human=12.0)
     action = jnp.array([0.5, -0.5, 0.5, -0.5, 0.0, 0.0, 1.0])
     terms = TASK.rewards(state, {}, now, action)
     expected = {
@@ -169,17 +169,17 @@ def test_weights_are_assistive_gyms():
     np.testing.assert_allclose(free, 0.0196, atol=5e-5)
     assert np.isclose(control.period, 0.1) and control.max_torque == 4.0
     assert TASK.episode_length == 200 and TASK.gravity == -1.0 and TASK.fabric.gravity == -9.81
-    assert TASK.person.still == "frozen" and len(TASK.person.joints) == 10
-    assert all(joint.startswith("l_") for joint in TASK.person.joints)
-    assert np.isclose(TASK.person.pose["l_shoulder_y"], np.deg2rad(-80))
-    assert set(TASK.person.impairments) == {"none", "limits", "weakness", "tremor"}
+    assert TASK.human.passive_mode == "frozen" and len(TASK.human.joints) == 10
+    assert all(joint.startswith("l_") for joint in TASK.human.joints)
+    assert np.isclose(TASK.human.pose["l_shoulder_y"], np.deg2rad(-80))
+    assert set(TASK.human.impairments) == {"none", "limits", "weakness", "tremor"}
 
 
 def test_observations_are_differences_along_world_axes():
     state = replace(start(), force=jnp.arange(10.0))
     quat = np.array([0.5, 0.5, -0.5, 0.5])
-    now = replace(seen(quat_w=quat), robot_on_person=jnp.float32(0.5))
-    robot, person = TASK.observe(state, now)
+    now = replace(seen(quat_w=quat), robot_on_human=jnp.float32(0.5))
+    robot, human = TASK.observe(state, now)
     joints = np.concatenate([SHOULDER, ELBOW, WRIST]).reshape(3, 3)
     flat = np.concatenate
     expected = flat(
@@ -189,8 +189,8 @@ def test_observations_are_differences_along_world_axes():
     expected = flat(
         [np.subtract(START, CHEST), quat, np.arange(10), (joints - CHEST).ravel(), [45.0, 0.5]]
     )
-    np.testing.assert_allclose(observe.flatten(person), expected, atol=1e-5)
-    assert (len(observe.flatten(robot)), len(observe.flatten(person))) == (24, 28)
+    np.testing.assert_allclose(observe.flatten(human), expected, atol=1e-5)
+    assert (len(observe.flatten(robot)), len(observe.flatten(human))) == (24, 28)
 
 
 def test_starts_vary_by_5_cm():

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from meal_world import (
+from meal_scene import (
     AIR,
     HEAD,
     MOUTH,
@@ -21,11 +21,11 @@ from meal_world import (
 )  # fmt: skip
 
 from agym_jax import observe
-from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.matter.particles.checks import MatterError
+from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks.drinking import DRINKING as TASK
-from agym_jax.tasks.drinking import DrinkState, fates_of, in_cup, tilt_reward
+from agym_jax.tasks.drinking import DrinkState, in_cup, outcome_of, tilt_reward
 
 advance = jax.jit(TASK.advance)
 CUP_AT = AIR["pos_w"]  # upright unless said
@@ -34,7 +34,7 @@ NOTHING = {"drunk": 0.0, "spilled": 0.0, "hits": 0.0, "speed": 0.0}
 
 
 def turned(angle: float, about: tuple[float, float, float]) -> np.ndarray:
-    """Orientation wxyz of a cup that was upright and then turned about a world axis."""
+    """Orientation wxyz of a cup that was upright and then turned about an environment axis."""
     half, (w, x, y, z) = angle / 2, UPRIGHT
     b = np.array(about) / np.linalg.norm(about) * np.sin(half)
     a, v = np.cos(half), np.array([x, y, z])
@@ -44,7 +44,7 @@ def turned(angle: float, about: tuple[float, float, float]) -> np.ndarray:
 def judged(places, speeds=0.0, alive=True, mouth=MOUTH, cup=CUP_AT, quat=UPRIGHT, **touches):
     water = particles(places, speeds, alive)
     contact = touched(len(water.alive), **touches)
-    return jax.device_get(fates_of(TASK.config, water, contact, *arrays((mouth, cup, quat))))
+    return jax.device_get(outcome_of(TASK.config, water, contact, *arrays((mouth, cup, quat))))
 
 
 def state(places=None, **changes) -> DrinkState:
@@ -83,21 +83,25 @@ def test_inside_is_assistive_gyms_cylinder(height, radius, inside, tilt: float):
 @pytest.mark.parametrize(("away", "drunk"), [(0.0, True), (0.0299, True), (0.0301, False)])
 def test_drunk_within_3_cm_of_the_mouth(away: float, drunk: bool):
     for side in np.eye(3):
-        fates = judged([MOUTH + away * side])
-        assert (bool(fates.eaten[0]), bool(fates.spilled[0]), bool(fates.hit[0])) == (drunk, 0, 0)
+        outcome = judged([MOUTH + away * side])
+        assert (bool(outcome.eaten[0]), bool(outcome.spilled[0]), bool(outcome.hit[0])) == (
+            drunk,
+            0,
+            0,
+        )
 
 
 def test_water_in_the_cup_is_not_judged():
     # the mouth dips into the cup, which is low and touches the person
     low = np.array([0.0, 0.0, 0.3])
-    fates = judged(
-        [np.add(low, [0, 0, 0.05])], mouth=np.add(low, [0, 0, 0.05]), cup=low, person=True
+    outcome = judged(
+        [np.add(low, [0, 0, 0.05])], mouth=np.add(low, [0, 0, 0.05]), cup=low, human=True
     )
-    assert not (fates.eaten[0] or fates.spilled[0] or fates.hit[0])
-    fates = judged(
-        [np.add(low, [0, 0, 0.12])], mouth=np.add(low, [0, 0, 0.10]), cup=low, person=True
+    assert not (outcome.eaten[0] or outcome.spilled[0] or outcome.hit[0])
+    outcome = judged(
+        [np.add(low, [0, 0, 0.12])], mouth=np.add(low, [0, 0, 0.10]), cup=low, human=True
     )
-    assert fates.eaten[0]  # over the rim it is outside
+    assert outcome.eaten[0]  # over the rim it is outside
 
 
 @pytest.mark.parametrize(("z", "spilled"), [(0.501, False), (0.499, True), (-1.0, True)])
@@ -107,16 +111,19 @@ def test_spilled_below_half_a_metre(z: float, spilled: bool):
 
 def test_the_order_is_drunk_then_spilled_then_hit():
     places = [MOUTH, [0.3, -0.2, 0.4], [0.3, -0.2, 0.8], np.add(CUP_AT, [0, 0, 0.05])]
-    fates = judged(places, person=True)
-    np.testing.assert_array_equal(fates.eaten, [True, False, False, False])
-    np.testing.assert_array_equal(fates.spilled, [False, True, False, False])
-    np.testing.assert_array_equal(fates.hit, [False, False, True, False])
+    outcome = judged(places, human=True)
+    np.testing.assert_array_equal(outcome.eaten, [True, False, False, False])
+    np.testing.assert_array_equal(outcome.spilled, [False, True, False, False])
+    np.testing.assert_array_equal(outcome.hit, [False, False, True, False])
     assert not judged(places[2:3]).hit[0] and not judged(places[2:3], vessel=True).hit[0]
 
 
 def test_what_is_gone_is_not_judged_again():
-    fates = judged([MOUTH, [0, 0, 0.1], [0.3, 0, 0.9]], alive=False, person=True)
-    assert not (fates.eaten.any() or fates.spilled.any() or fates.hit.any()) and fates.speed == 0
+    outcome = judged([MOUTH, [0, 0, 0.1], [0.3, 0, 0.9]], alive=False, human=True)
+    assert (
+        not (outcome.eaten.any() or outcome.spilled.any() or outcome.hit.any())
+        and outcome.speed == 0
+    )
 
 
 def test_a_drop_is_drunk_once_with_the_speed_it_came_with():
@@ -202,7 +209,7 @@ def upstream_tilt(cup_quat_w: np.ndarray, side: float = 1.0) -> float:
 def test_reward_is_assistive_gyms():
     """R = -|mouth - top| - 0.01 |a|^2 + 0.1 r_tilt + (10 drunk - spilled) + r_pref."""
     tool = {
-        "quat_w": turned(0.7, (1.0, 0.0, 0.0)), "vel_w": np.array([0.0, 0.3, 0.4]), "on_person": 12.0
+        "quat_w": turned(0.7, (1.0, 0.0, 0.0)), "vel_w": np.array([0.0, 0.3, 0.4]), "on_human": 12.0
     }  # fmt: skip
     up = rotation_matrix(tool["quat_w"])[:, 1]
     tool["pos_w"] = MOUTH + np.array([0.0, -0.3, 0.4]) - 0.115 * up
@@ -237,16 +244,16 @@ def test_weights_are_assistive_gyms():
     assert np.isclose(control.period, 0.1) and control.max_torque == 1.0
     assert TASK.episode_length == 200 and TASK.gravity == 0.0 and TASK.water.gravity == -9.81
     assert (TASK.water.count, TASK.water.radius, TASK.water.mass) == (64, 0.005, 0.001)
-    assert TASK.person.still == "frozen" and len(TASK.person.joints) == 4
+    assert TASK.human.passive_mode == "frozen" and len(TASK.human.joints) == 4
 
 
 def test_observations_have_the_references_sizes():
-    robot, person = TASK.observe(state(), seen({"on_person": 2.0}, pushes=0.5))
-    assert observe.flatten(robot).shape == (25,) and observe.flatten(person).shape == (23,)
+    robot, human = TASK.observe(state(), seen({"on_human": 2.0}, pushes=0.5))
+    assert observe.flatten(robot).shape == (25,) and observe.flatten(human).shape == (23,)
     # the cup's place is that of its bottom, not of its top
     np.testing.assert_allclose(robot.tool_pos_mouth, CUP_AT - MOUTH, atol=1e-6)
-    np.testing.assert_allclose(person.tool_pos_mouth, CUP_AT - MOUTH, atol=1e-6)
-    assert float(robot.tool_on_person) == float(person.tool_on_person) == 2.0
+    np.testing.assert_allclose(human.tool_pos_mouth, CUP_AT - MOUTH, atol=1e-6)
+    assert float(robot.tool_on_human) == float(human.tool_on_human) == 2.0
 
 
 def test_an_episode_begins_with_a_full_cup_and_holding_still_spills_nothing():

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from brax import envs as brax_envs
 from brax.envs.wrappers import training as brax_wrappers
-from conftest import BATCH, STATIC, Rollout, Worlds, roll
+from conftest import BATCH, STATIC, CompiledBatch, Rollout, roll
 from products import full
 
 import agym_jax
@@ -53,9 +53,9 @@ TRACED = (
 
 
 @pytest.mark.parametrize("name", TRACED)
-def test_step_returns_exactly_what_reset_returns(name: str, worlds: Worlds):
+def test_step_returns_exactly_what_reset_returns(name: str, batch: CompiledBatch):
     if name == STATIC:  # traced for the tests below anyway
-        env, reset, step = worlds.env, worlds.reset, worlds.step
+        env, reset, step = batch.env, batch.reset, batch.step
     else:
         env = vectorize(agym_jax.make(name, impl="jax"), BATCH)
         reset, step = env.reset, env.step
@@ -114,8 +114,8 @@ def test_unknown_implementation_is_refused():
 
 
 @jit
-def test_same_seed_same_trajectory_bit_for_bit(worlds: Worlds, rollout: Rollout):
-    again = roll(worlds, 0, rollout.actions[:12])
+def test_same_seed_same_trajectory_bit_for_bit(batch: CompiledBatch, rollout: Rollout):
+    again = roll(batch, 0, rollout.actions[:12])
     np.testing.assert_array_equal(again.obs, rollout.obs[:13])
     np.testing.assert_array_equal(again.reward, rollout.reward[:12])
     for name, values in again.metrics.items():
@@ -123,17 +123,17 @@ def test_same_seed_same_trajectory_bit_for_bit(worlds: Worlds, rollout: Rollout)
 
 
 @jit
-def test_one_trace_serves_every_state(worlds: Worlds, rollout: Rollout):
+def test_one_trace_serves_every_state(batch: CompiledBatch, rollout: Rollout):
     # a weak type or a changed shape in step's result would make the second call trace again
-    assert worlds.traces == {"reset": 1, "step": 1}
+    assert batch.traces == {"reset": 1, "step": 1}
 
 
 @jit
 def test_worlds_of_a_batch_are_different_people_targets_and_starts(rollout: Rollout):
     first = rollout.first
-    person = first.episode.person
-    assert set(np.asarray(person.sex)) == {0.0, 1.0}
-    impaired = [person.limit_scale < 1, person.strength < 1, (person.tremor != 0).any(-1)]
+    human = first.episode.human
+    assert set(np.asarray(human.sex)) == {0.0, 1.0}
+    impaired = [human.limit_scale < 1, human.strength < 1, (human.tremor != 0).any(-1)]
     assert 0 < np.sum(impaired) < BATCH
     assert _differ(first.episode.placement.arm_angles)
     assert _differ(first.task.target_limb)
@@ -142,18 +142,18 @@ def test_worlds_of_a_batch_are_different_people_targets_and_starts(rollout: Roll
 
 
 @jit
-def test_another_seed_is_another_batch(worlds: Worlds, rollout: Rollout):
-    other = worlds.reset(jax.random.PRNGKey(1))
-    assert not np.array_equal(other.episode.person.sex, rollout.first.episode.person.sex)
+def test_another_seed_is_another_batch(batch: CompiledBatch, rollout: Rollout):
+    other = batch.reset(jax.random.PRNGKey(1))
+    assert not np.array_equal(other.episode.human.sex, rollout.first.episode.human.sex)
     assert _differ(np.concatenate([other.task.target_limb, rollout.first.task.target_limb]))
     assert _differ(np.concatenate([other.obs, rollout.first.obs]))
 
 
 @jit
-def test_no_observation_entry_is_constant(worlds: Worlds, rollout: Rollout):
+def test_no_observation_entry_is_constant(batch: CompiledBatch, rollout: Rollout):
     names = [
         f"{name}[{i}]"
-        for name, c in observe.columns(worlds.env.task.robot_obs).items()
+        for name, c in observe.columns(batch.env.task.robot_obs).items()
         for i in range(c.size)
     ]
     spread = rollout.obs.reshape(-1, len(names)).std(0)
@@ -165,8 +165,8 @@ def test_no_observation_entry_is_constant(worlds: Worlds, rollout: Rollout):
 
 
 @jit
-def test_observed_differences_fit_together(worlds: Worlds, rollout: Rollout):
-    where = observe.layout(worlds.env.task.robot_obs)
+def test_observed_differences_fit_together(batch: CompiledBatch, rollout: Rollout):
+    where = observe.layout(batch.env.task.robot_obs)
     part = {name: rollout.obs[..., where[name]] for name in where}
     np.testing.assert_allclose(
         part["tool_pos_target"], part["tool_pos_torso"] - part["target_pos_torso"], atol=1e-5
@@ -174,7 +174,7 @@ def test_observed_differences_fit_together(worlds: Worlds, rollout: Rollout):
     np.testing.assert_allclose(np.linalg.norm(part["tool_quat_w"], axis=-1), 1.0, atol=1e-5)
     # limbs keep their length: 0.279 m for a man, 0.264 m for a woman (humans.md section 2)
     length = np.linalg.norm(part["shoulder_pos_torso"] - part["elbow_pos_torso"], axis=-1)
-    sex = np.asarray(rollout.first.episode.person.sex)
+    sex = np.asarray(rollout.first.episode.human.sex)
     np.testing.assert_allclose(
         length, np.broadcast_to(0.279 - 0.015 * sex, length.shape), atol=1e-5
     )
@@ -194,11 +194,11 @@ def test_reward_is_the_sum_of_its_terms(rollout: Rollout):
 
 
 @jit
-def test_robot_moves_towards_the_joint_target(worlds: Worlds, rollout: Rollout):
+def test_robot_moves_towards_the_joint_target(batch: CompiledBatch, rollout: Rollout):
     # tasks.md section 1.5: a full action moves a free joint 0.0566 rad in a control step
-    state = worlds.step(rollout.first, np.ones((BATCH, 7), np.float32))
+    state = batch.step(rollout.first, np.ones((BATCH, 7), np.float32))
     moved = state.data.qpos - rollout.first.data.qpos
-    moved = np.asarray(moved)[:, worlds.env.scene.index.robot_qpos]
+    moved = np.asarray(moved)[:, batch.env.scene.index.robot_qpos]
     np.testing.assert_allclose(moved[:, -1], 0.0566, atol=5e-4)  # the wrist carries next to nothing
     # the others have 1 N m to accelerate the arm, and feel each other's reaction
     assert (moved > -0.01).all() and (moved < 0.0566 + 5e-4).all()
@@ -206,30 +206,30 @@ def test_robot_moves_towards_the_joint_target(worlds: Worlds, rollout: Rollout):
 
 
 @jit
-def test_actions_beyond_the_box_act_as_its_border(worlds: Worlds, rollout: Rollout):
-    one, many = (worlds.step(rollout.first, np.full((BATCH, 7), x, np.float32)) for x in (1.0, 7.0))
+def test_actions_beyond_the_box_act_as_its_border(batch: CompiledBatch, rollout: Rollout):
+    one, many = (batch.step(rollout.first, np.full((BATCH, 7), x, np.float32)) for x in (1.0, 7.0))
     np.testing.assert_array_equal(one.obs, many.obs)
     np.testing.assert_array_equal(one.reward, many.reward)  # deviation action-penalty
 
 
 @jit
-def test_action_with_nan_acts_as_zero_under_jit(worlds: Worlds, rollout: Rollout):
+def test_action_with_nan_acts_as_zero_under_jit(batch: CompiledBatch, rollout: Rollout):
     action = rollout.actions[0].copy()
     action[:, 2] = 0.0
-    clean = worlds.step(rollout.first, action)
+    clean = batch.step(rollout.first, action)
     action[:, 2] = [np.nan, np.inf, -np.inf, np.nan, 0, 0, 0, np.nan]
-    dirty = worlds.step(rollout.first, action)
+    dirty = batch.step(rollout.first, action)
     np.testing.assert_array_equal(clean.obs, dirty.obs)
     np.testing.assert_array_equal(clean.reward, dirty.reward)
     assert (dirty.metrics["nan"] == 0).all()
 
 
 @jit
-def test_episodes_end_after_200_steps_and_not_before(worlds: Worlds, rollout: Rollout):
+def test_episodes_end_after_200_steps_and_not_before(batch: CompiledBatch, rollout: Rollout):
     state, still = rollout.first, np.zeros((BATCH, 7), np.float32)
     for i in range(200):  # tasks.md section 1.1
         assert (np.asarray(state.episode.step) == i).all()
-        state = worlds.step(state, still)
+        state = batch.step(state, still)
         assert (np.asarray(state.done) == (i == 199)).all()
         assert (np.asarray(state.info["truncation"]) == (i == 199)).all()
     assert (np.asarray(state.episode.step) == 0).all()
@@ -237,17 +237,19 @@ def test_episodes_end_after_200_steps_and_not_before(worlds: Worlds, rollout: Ro
 
 
 @jit
-def test_all_of_a_finished_world_starts_anew_and_the_others_go_on(worlds: Worlds, rollout: Rollout):
+def test_all_of_a_finished_world_starts_anew_and_the_others_go_on(
+    batch: CompiledBatch, rollout: Rollout
+):
     over = np.arange(BATCH) % 2 == 0
     state = _set(rollout.last, "episode", step=np.where(over, 199, 50))
     state = _set(state, "task", scratches=np.full(BATCH, 7.0))
     state = _set(state, "task", last_scratch_w=np.ones((BATCH, 3)))
     action = rollout.actions[0]
-    after = worlds.step(state, action)
+    after = batch.step(state, action)
     np.testing.assert_array_equal(after.done, over)
     np.testing.assert_array_equal(after.info["truncation"], over)
     # what goes on is as if nobody had finished
-    alone = worlds.step(_set(state, "episode", step=np.full(BATCH, 50)), action)
+    alone = batch.step(_set(state, "episode", step=np.full(BATCH, 50)), action)
     same = lambda a, b: np.testing.assert_array_equal(np.asarray(a)[~over], np.asarray(b)[~over])  # noqa: E731
     for name in ("obs", "reward", "metrics", "task", "episode", "key"):
         jax.tree.map(same, getattr(after, name), getattr(alone, name))
@@ -255,9 +257,11 @@ def test_all_of_a_finished_world_starts_anew_and_the_others_go_on(worlds: Worlds
     np.testing.assert_array_equal(after.episode.step, np.where(over, 0, 51))
     np.testing.assert_array_equal(after.task.scratches, np.where(over, 0.0, alone.task.scratches))
     # the last observation and reward of the old episode are kept (tremor knows even from odd steps)
-    np.testing.assert_array_equal(after.info["terminal_obs"][~over], after.obs[~over])
-    assert (np.abs(after.info["terminal_obs"] - after.obs)[over].max(-1) > 1e-3).all()
-    np.testing.assert_allclose(after.info["terminal_obs"], alone.info["terminal_obs"], atol=2e-2)
+    np.testing.assert_array_equal(after.info["final_observation"][~over], after.obs[~over])
+    assert (np.abs(after.info["final_observation"] - after.obs)[over].max(-1) > 1e-3).all()
+    np.testing.assert_allclose(
+        after.info["final_observation"], alone.info["final_observation"], atol=2e-2
+    )
     # and everything else is new
     for name, old, new in (
         ("target", state.task.target_limb, after.task.target_limb),
@@ -268,7 +272,7 @@ def test_all_of_a_finished_world_starts_anew_and_the_others_go_on(worlds: Worlds
         np.testing.assert_array_equal(changed, over, err_msg=name)
     fresh = np.asarray(after.task.last_scratch_w)[over]
     np.testing.assert_array_equal(fresh, 0.0)
-    angles = np.asarray(after.data.qpos)[:, worlds.env.scene.index.robot_qpos]
+    angles = np.asarray(after.data.qpos)[:, batch.env.scene.index.robot_qpos]
     np.testing.assert_array_equal(
         angles[over], np.asarray(after.episode.placement.arm_angles)[over]
     )
@@ -277,31 +281,31 @@ def test_all_of_a_finished_world_starts_anew_and_the_others_go_on(worlds: Worlds
 
 
 @jit
-def test_people_change_from_episode_to_episode(worlds: Worlds, rollout: Rollout):
+def test_people_change_from_episode_to_episode(batch: CompiledBatch, rollout: Rollout):
     state, seen = rollout.first, []
     for _ in range(6):
-        state = worlds.step(_set(state, "episode", step=np.full(BATCH, 199)), rollout.actions[0])
-        p = state.episode.person
+        state = batch.step(_set(state, "episode", step=np.full(BATCH, 199)), rollout.actions[0])
+        p = state.episode.human
         seen.append(np.stack([p.sex, p.strength, p.limit_scale, p.tremor[:, 0]], -1))
-    seen = np.array(seen)  # (episodes, worlds, traits)
+    seen = np.array(seen)  # (episodes, environments, traits)
     assert all(len(np.unique(seen[:, i], axis=0)) > 1 for i in range(BATCH))
     # the body follows: the upper arm is as long as this person's, not the last one's
-    data, index = state.data, worlds.env.scene.index
-    bodies = dict(zip(index.links, index.person_body, strict=True))
+    data, index = state.data, batch.env.scene.index
+    bodies = dict(zip(index.links, index.human_body, strict=True))
     shoulder, elbow = (data.xpos[:, bodies[x]] for x in ("right_upper_arm", "right_forearm"))
     length = np.linalg.norm(shoulder - elbow, axis=-1)
     np.testing.assert_allclose(
-        length, 0.279 - 0.015 * np.asarray(state.episode.person.sex), atol=1e-5
+        length, 0.279 - 0.015 * np.asarray(state.episode.human.sex), atol=1e-5
     )
 
 
 @jit
-def test_world_that_breaks_ends_its_episode_and_recovers(worlds: Worlds, rollout: Rollout):
+def test_world_that_breaks_ends_its_episode_and_recovers(batch: CompiledBatch, rollout: Rollout):
     sick, action = 3, rollout.actions[0]
     healthy = np.arange(BATCH) != sick
     data = rollout.first.data
     broken = rollout.first.replace(data=data.replace(qpos=data.qpos.at[sick, 5].set(jnp.nan)))
-    after, clean = worlds.step(broken, action), worlds.step(rollout.first, action)
+    after, clean = batch.step(broken, action), batch.step(rollout.first, action)
     np.testing.assert_array_equal(after.done, ~healthy)
     np.testing.assert_array_equal(after.metrics["nan"], ~healthy)
     np.testing.assert_array_equal(after.info["truncation"], 0.0)  # it did not end by its length
@@ -310,21 +314,26 @@ def test_world_that_breaks_ends_its_episode_and_recovers(worlds: Worlds, rollout
     np.testing.assert_array_equal(after.obs[healthy], clean.obs[healthy])
     state = after
     for step in range(4):
-        for x in (state.obs, state.reward, state.info["terminal_obs"], *state.metrics.values()):
+        for x in (
+            state.obs,
+            state.reward,
+            state.info["final_observation"],
+            *state.metrics.values(),
+        ):
             assert np.isfinite(x).all(), step
         assert np.isfinite(state.data.qpos).all() and np.isfinite(state.data.qvel).all()
         jax.tree.map(
             lambda x: np.testing.assert_(np.isfinite(x).all()), (state.task, state.episode)
         )
-        state = worlds.step(state, action)
+        state = batch.step(state, action)
         assert (np.asarray(state.done) == 0).all() and (np.asarray(state.metrics["nan"]) == 0).all()
     assert state.episode.step[sick] == 4 and state.episode.step[0] == 5
     assert (np.abs(state.obs[sick]) > 0).sum() > 20
 
 
 @jit
-def test_stagger_spreads_the_clocks(worlds: Worlds, rollout: Rollout):
-    state = worlds.env.stagger(rollout.first, jax.random.PRNGKey(0))
+def test_stagger_spreads_the_clocks(batch: CompiledBatch, rollout: Rollout):
+    state = batch.env.stagger(rollout.first, jax.random.PRNGKey(0))
     steps = np.asarray(state.episode.step)
     assert steps.dtype == np.int32 and (steps >= 0).all() and (steps < 200).all()
     assert len(set(steps)) >= BATCH - 1

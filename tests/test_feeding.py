@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from meal_world import (
+from meal_scene import (
     AIR,
     CHEST,
     HEAD,
@@ -29,7 +29,7 @@ from agym_jax.matter.particles.checks import MatterError
 from agym_jax.robots import ROBOTS
 from agym_jax.spec import Preferences
 from agym_jax.tasks.feeding import FEEDING as TASK
-from agym_jax.tasks.feeding import FeedState, fates_of
+from agym_jax.tasks.feeding import FeedState, outcome_of
 
 advance = jax.jit(TASK.advance)
 AWAY = np.array([0.0, -1.0, 0.0])  # from the mouth, over the table [m]
@@ -40,8 +40,10 @@ def judged(places, has_hit=False, speeds=0.0, alive=True, **touches):
     food = particles(places, speeds, alive)
     n = len(food.alive)
     hit = jnp.broadcast_to(jnp.asarray(has_hit), (n,))
-    fates = fates_of(TASK.config, food, touched(n, **touches), hit, jnp.asarray(MOUTH, jnp.float32))
-    return jax.device_get(fates)
+    outcome = outcome_of(
+        TASK.config, food, touched(n, **touches), hit, jnp.asarray(MOUTH, jnp.float32)
+    )
+    return jax.device_get(outcome)
 
 
 def state(places=None, **changes) -> FeedState:
@@ -59,8 +61,12 @@ def state(places=None, **changes) -> FeedState:
 @pytest.mark.parametrize(("away", "eaten"), [(0.0, True), (0.0199, True), (0.0201, False)])
 def test_eaten_within_2_cm_of_the_mouth(away: float, eaten: bool):
     for axis in np.eye(3):
-        fates = judged([MOUTH + away * axis])
-        assert (bool(fates.eaten[0]), bool(fates.spilled[0]), bool(fates.hit[0])) == (eaten, 0, 0)
+        outcome = judged([MOUTH + away * axis])
+        assert (bool(outcome.eaten[0]), bool(outcome.spilled[0]), bool(outcome.hit[0])) == (
+            eaten,
+            0,
+            0,
+        )
 
 
 @pytest.mark.parametrize(("z", "spilled"), [(0.501, False), (0.499, True), (-1.0, True)])
@@ -76,21 +82,24 @@ def test_spilled_on_table_and_bowl():
 def test_the_order_is_eaten_then_spilled_then_hit():
     low = np.array([0.3, -0.2, 0.4])
     places = [MOUTH, low, MOUTH + AWAY, MOUTH + AWAY, MOUTH + AWAY]
-    fates = judged(places, person=True, furniture=[True, False, True, False, False],
+    outcome = judged(places, human=True, furniture=[True, False, True, False, False],
                    has_hit=[False, False, False, False, True])  # fmt: skip
-    np.testing.assert_array_equal(fates.eaten, [True, False, False, False, False])
-    np.testing.assert_array_equal(fates.spilled, [False, True, True, False, False])
-    np.testing.assert_array_equal(fates.hit, [False, False, False, True, False])
+    np.testing.assert_array_equal(outcome.eaten, [True, False, False, False, False])
+    np.testing.assert_array_equal(outcome.spilled, [False, True, True, False, False])
+    np.testing.assert_array_equal(outcome.hit, [False, False, False, True, False])
 
 
 def test_what_is_gone_is_not_judged_again():
-    fates = judged([MOUTH, [0, 0, 0.1], MOUTH + AWAY], alive=False, person=True, furniture=True)
-    assert not (fates.eaten.any() or fates.spilled.any() or fates.hit.any()) and fates.speed == 0
+    outcome = judged([MOUTH, [0, 0, 0.1], MOUTH + AWAY], alive=False, human=True, furniture=True)
+    assert (
+        not (outcome.eaten.any() or outcome.spilled.any() or outcome.hit.any())
+        and outcome.speed == 0
+    )
 
 
 def test_speed_is_that_of_the_eaten_pieces():
-    fates = judged([MOUTH, MOUTH, MOUTH + AWAY], speeds=[0.3, 0.5, 9.0])
-    np.testing.assert_allclose(fates.speed, 0.8, rtol=1e-6)
+    outcome = judged([MOUTH, MOUTH, MOUTH + AWAY], speeds=[0.3, 0.5, 9.0])
+    np.testing.assert_allclose(outcome.speed, 0.8, rtol=1e-6)
 
 
 def test_a_piece_at_the_mouth_is_eaten_once_and_leaves():
@@ -143,7 +152,7 @@ def test_reward_is_assistive_gyms():
     """R = -|mouth - spoon| - 0.01 |a|^2 + (20 eaten - 5 spilled) + r_pref."""
     tool = {
         "pos_w": MOUTH + np.array([0.0, 0.3, 0.4]), "vel_w": np.array([0.0, 0.3, 0.4]),
-        "on_person": 12.0,
+        "on_human": 12.0,
     }  # fmt: skip
     seen = sensed(tool, pushes=3.0)
     action = jnp.array([0.5, -0.5, 0.5, -0.5, 0.0, 0.0, 1.0])
@@ -176,31 +185,31 @@ def test_weights_are_assistive_gyms():
     np.testing.assert_allclose(free, 0.0123, atol=5e-5)
     assert np.isclose(control.period, 0.1) and control.max_torque == 5.0
     assert TASK.episode_length == 200 and TASK.gravity == 0.0 and TASK.food.gravity == -9.81
-    assert TASK.person.still == "frozen" and len(TASK.person.joints) == 4
-    assert set(TASK.person.impairments) == {"none", "limits", "weakness", "tremor"}
-    assert np.allclose(list(TASK.person.pose_range.values()), np.deg2rad(30))
+    assert TASK.human.passive_mode == "frozen" and len(TASK.human.joints) == 4
+    assert set(TASK.human.impairments) == {"none", "limits", "weakness", "tremor"}
+    assert np.allclose(list(TASK.human.pose_range.values()), np.deg2rad(30))
 
 
 def test_observations_are_differences_along_world_axes():
-    tool = {"pos_w": np.array([-0.1, -0.3, 1.1]), "quat_w": UPRIGHT, "on_person": 2.0}
+    tool = {"pos_w": np.array([-0.1, -0.3, 1.1]), "quat_w": UPRIGHT, "on_human": 2.0}
     seen = sensed(tool, pushes=0.5)
-    robot, person = TASK.observe(state(), seen)
+    robot, human = TASK.observe(state(), seen)
     spoon = tool["pos_w"]
     for found, expected in (
         (robot.tool_pos_torso, spoon - TORSO), (robot.tool_quat_w, UPRIGHT),
         (robot.tool_pos_mouth, spoon - MOUTH), (robot.arm_angles, np.arange(7)),
         (robot.head_pos_torso, HEAD - TORSO), (robot.head_quat_w, TURN),
-        (robot.tool_on_person, 2.0),
-        (person.tool_pos_person, spoon - CHEST), (person.tool_quat_w, UPRIGHT),
-        (person.tool_pos_mouth, spoon - MOUTH), (person.person_angles, np.arange(4)),
-        (person.head_pos_person, HEAD - CHEST), (person.head_quat_w, TURN),
-        (person.robot_on_person, 0.5), (person.tool_on_person, 2.0),
+        (robot.tool_on_human, 2.0),
+        (human.tool_pos_human, spoon - CHEST), (human.tool_quat_w, UPRIGHT),
+        (human.tool_pos_mouth, spoon - MOUTH), (human.human_angles, np.arange(4)),
+        (human.head_pos_human, HEAD - CHEST), (human.head_quat_w, TURN),
+        (human.robot_on_human, 0.5), (human.tool_on_human, 2.0),
     ):  # fmt: skip
         np.testing.assert_allclose(found, expected, atol=1e-6)
     # tasks.md section 4: 25 and 23 columns, in that order
-    assert observe.size(TASK.robot_obs) == 25 and observe.size(TASK.person_obs) == 23
+    assert observe.size(TASK.robot_obs) == 25 and observe.size(TASK.human_obs) == 23
     order = ["tool_pos_torso", "tool_quat_w", "tool_pos_mouth", "arm_angles", "head_pos_torso",
-             "head_quat_w", "tool_on_person"]  # fmt: skip
+             "head_quat_w", "tool_on_human"]  # fmt: skip
     assert list(observe.columns(TASK.robot_obs)) == order
 
 

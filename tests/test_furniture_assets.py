@@ -24,7 +24,7 @@ FILES = (
     *(f"furniture/{x}.xml" for x in FURNITURE), *(f"tools/{x}.xml" for x in TOOLS), "scene.xml"
 )  # fmt: skip
 SPECS = {task.tool.name: task.tool for task in TASKS.values() if task.tool}
-LOOKS, SOLIDS = 2, 3
+VISUALS, SOLIDS = 2, 3
 # section 3: heights z(x, y) of the bed
 BED_Y = (-0.9, -0.7, -0.5, -0.3, -0.1, 0.1, 0.3, 0.5, 0.6, 0.7)
 BED_Z = {
@@ -112,7 +112,7 @@ def test_nothing_collides_by_default(path: str, capfd: pytest.CaptureFixture):
     assert model.npair == model.nmesh == model.nu == model.nkey == model.njnt == 0
     assert not model.geom_contype.any() and not model.geom_conaffinity.any()
     for i, name in enumerate(geom_names(model)):
-        assert model.geom_group[i] == (SOLIDS if name.endswith("_collision") else LOOKS), name
+        assert model.geom_group[i] == (SOLIDS if name.endswith("_collision") else VISUALS), name
 
 
 @pytest.mark.parametrize("path", FILES)
@@ -197,7 +197,7 @@ def test_scratcher_touches_with_its_rod():
     rod, handle = (boxes(model, SOLIDS)[geom_names(model).index(f"scratcher_{x}_collision")] for x in ("rod", "handle"))  # fmt: skip
     np.testing.assert_allclose(rod, [(0.025, -0.01, -0.01), (0.085, 0.01, 0.01)], atol=1e-9)
     np.testing.assert_allclose(handle, [[-0.03] * 3, [0.03] * 3], atol=1e-9)
-    for low, high in boxes(model, LOOKS):  # no look reaches past what touches
+    for low, high in boxes(model, VISUALS):  # no look reaches past what touches
         assert low[0] >= -0.0301 and high[0] <= 0.0851
         assert max(high[1:]) <= (0.03 if low[0] + high[0] < 0.06 else 0.0101)
 
@@ -215,10 +215,10 @@ def test_wiper_faces_down_with_its_pad():
     assert plate[0, 2] == pytest.approx(-0.04, abs=1e-3)  # above the cloth's face
     np.testing.assert_allclose(plate[:, 0], (-0.05, 0.05), atol=1e-3)
     assert np.abs(plate[:, 1]).max() <= 0.025
-    looks = boxes(model, LOOKS)
+    visuals = boxes(model, VISUALS)
     # handle box up to z 0.02; sides of the plate
-    np.testing.assert_allclose(looks[:, 0].min(0), (-0.05, -0.025, -0.045), atol=6e-3)
-    assert (looks[:, 1].max(0) < (0.052, 0.027, 0.06)).all()
+    np.testing.assert_allclose(visuals[:, 0].min(0), (-0.05, -0.025, -0.045), atol=6e-3)
+    assert (visuals[:, 1].max(0) < (0.052, 0.027, 0.06)).all()
 
 
 def test_scooper_is_lined_with_capsules_across_its_blade():
@@ -237,7 +237,7 @@ def test_scooper_is_lined_with_capsules_across_its_blade():
     # from the lip at x 0.05 up to the wall's top at y 0.075, with no room for an arm in between
     assert middles[0, 0] > 0.035 and middles[-1, 1] > 0.05
     assert np.linalg.norm(np.diff(middles, axis=0), axis=1).max() < 0.04
-    corners = boxes(model, LOOKS)
+    corners = boxes(model, VISUALS)
     np.testing.assert_allclose(corners[:, 0].min(0), (-0.14, 0, -0.04), atol=6e-3)
     np.testing.assert_allclose(corners[:, 1].max(0), (0.05, 0.1, 0.04), atol=6e-3)
 
@@ -254,7 +254,7 @@ def test_armrest_height(side: str, sign: int, y: float):
         height, name = drop(chair, sign * x, y, SOLIDS)
         assert height == pytest.approx(0.719, abs=2e-3)
         assert name == f"armrest_{side}_{part}_collision"
-    height, _ = drop(chair, sign * 0.2715, y, LOOKS)  # the pad one sees
+    height, _ = drop(chair, sign * 0.2715, y, VISUALS)  # the pad one sees
     assert height == pytest.approx(0.719, abs=2e-3)
 
 
@@ -277,11 +277,11 @@ def test_wheelchair_leaves_room_for_the_person():
     chair = furniture("wheelchair")
     for x in (-0.089, 0.089):
         for y in (-0.24, -0.15, 0.0):
-            assert 0.40 < drop(chair, x, y, LOOKS)[0] < 0.4915
+            assert 0.40 < drop(chair, x, y, VISUALS)[0] < 0.4915
             assert drop(chair, x, y, SOLIDS)[0] < 0.4915
     assert {"seat_collision", "backrest_collision"} <= set(geom_names(chair))
     for height in np.linspace(0.53, 1.0, 8):
-        for group in (LOOKS, SOLIDS):
+        for group in (VISUALS, SOLIDS):
             back, _ = ray(chair, (0.0, -0.2, height), (0, 1, 0), group)
             if back > 0:
                 assert -0.2 + back > 0.1635 - 0.015, (height, group)
@@ -293,9 +293,9 @@ def test_mount_carries_the_jaco():
     for centre, axis in (((-0.35, -0.15, 0.36), 1), ((-0.175, 0.0075, 0.36), 0)):
         for along in (-0.1, 0.0, 0.1):  # from below, each boom is met at its radius
             start = np.array(centre) + along * np.eye(3)[axis] - (0, 0, 0.36)
-            height, _ = ray(model, start, (0, 0, 1), LOOKS)
+            height, _ = ray(model, start, (0, 0, 1), VISUALS)
             assert height == pytest.approx(0.36 - 0.0425, abs=5e-3), (centre, along)
-    height, _ = drop(model, -0.35, -0.3, LOOKS)
+    height, _ = drop(model, -0.35, -0.3, VISUALS)
     # a flange over boom 1 holds the lower part of the arm's base, whose link 1 turns at 0.36 + 0.157
     assert 0.36 + 0.0425 <= height < 0.36 + 0.1
 
@@ -303,7 +303,7 @@ def test_mount_carries_the_jaco():
 # -- bed ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("group", [LOOKS, SOLIDS])
+@pytest.mark.parametrize("group", [VISUALS, SOLIDS])
 @pytest.mark.parametrize("x", BED_Z)
 def test_bed_has_the_measured_heights(x: float, group: int):
     """Boxes for a bumpy mesh: mattress to 2 cm, skirt to 3 cm, foot's edge and pillows to 5 cm."""
@@ -322,7 +322,7 @@ def test_bed_can_be_lain_on_and_hung_over():
     assert drop(bed, -0.49, 0.1, SOLIDS)[1] == "mattress_collision"
     assert drop(bed, -0.52, 0.1, SOLIDS)[1] == "skirt_collision"
     # world box of AG's bed: (-0.645, -1.193, 0) to (0.418, 1.168, 1.162)
-    for group in (LOOKS, SOLIDS):
+    for group in (VISUALS, SOLIDS):
         low, high = boxes(bed, group)[:, 0].min(0), boxes(bed, group)[:, 1].max(0)
         np.testing.assert_allclose(low, (-0.645, -1.193, 0), atol=0.05)
         np.testing.assert_allclose(high, (0.418, 1.168, 1.162), atol=0.05)
@@ -331,7 +331,7 @@ def test_bed_can_be_lain_on_and_hung_over():
 def test_nightstand_carries_the_jaco():
     """Section 11: 0.55 m wide; here its top is where the arm stands, 0.6 m above the floor."""
     model = furniture("nightstand")
-    for group in (LOOKS, SOLIDS):
+    for group in (VISUALS, SOLIDS):
         low, high = boxes(model, group)[:, 0].min(0), boxes(model, group)[:, 1].max(0)
         np.testing.assert_allclose((low[0], high[0]), (-0.275, 0.275), atol=2e-3)
         np.testing.assert_allclose((low[2], high[2]), (-0.6, 0.0), atol=2e-3)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cloth_world import sheet
+from cloth_scene import sheet
 
 from agym_jax.errors import MissingAssetError
 from agym_jax.matter.cloth.garment import (
@@ -20,9 +20,9 @@ from agym_jax.matter.cloth.garment import (
     longest_edge,
     save,
 )  # fmt: skip
-from agym_jax.offline.gown import Cut, cut
 from agym_jax.matter.cloth.hang import settle
-from agym_jax.matter.cloth.topology import USUAL_EDGE, USUAL_SUBSTEPS, Fabric, weave
+from agym_jax.matter.cloth.topology import USUAL_EDGE, USUAL_SUBSTEPS, Fabric, build_cloth
+from agym_jax.offline.gown import Cut, cut
 from agym_jax.tasks.dressing import Dressing
 
 SQUARE = Garment(  # 4 x 4 vertices, 2 cm apart
@@ -58,7 +58,7 @@ def test_the_gown_has_the_measures_of_a_gown():
     assert np.isclose(gown.area_density, 0.23 / 1.099) and 0.06 < gown.mass < 0.1
     assert np.allclose(gown.vertices[gown.anchors].mean(0), 0.0, atol=1e-9)
     assert 0.06 < np.ptp(gown.vertices[gown.anchors][:, 0]) < 0.09  # AG: 75 mm
-    np.testing.assert_allclose(weave(gown).mass.sum(), gown.mass, rtol=1e-6)
+    np.testing.assert_allclose(build_cloth(gown).mass.sum(), gown.mass, rtol=1e-6)
 
 
 def test_what_is_kept_is_what_the_script_cuts():
@@ -73,7 +73,7 @@ def test_resolution_is_a_parameter(edge: float):
     gown, rough = cut(Cut(edge=edge)), cut()
     assert np.isclose(gown.areas.sum(), rough.areas.sum(), rtol=0.08)
     assert np.isclose(gown.cuff_perimeter, 0.52, atol=0.003)
-    spec = weave(gown)
+    spec = build_cloth(gown)
     degrees = np.bincount(gown.edges().ravel())
     assert len(spec.edges.partner) <= degrees.max() + 1  # few colours
     for table in (spec.edges, spec.hinges):  # partners of each other
@@ -85,7 +85,7 @@ def test_resolution_is_a_parameter(edge: float):
 
 def test_cloth_resists_bending_alike_at_any_resolution():
     def energy(edge: float, radius: float) -> float:
-        spec = weave(sheet(0.6, 0.6, edge))
+        spec = build_cloth(sheet(0.6, 0.6, edge))
         x, _, z = spec.garment.vertices.T
         bent = np.stack([radius * np.sin(x / radius), radius * np.cos(x / radius), z], -1)
         h = spec.hinges
@@ -99,10 +99,10 @@ def test_cloth_resists_bending_alike_at_any_resolution():
 
 
 def test_finer_cloth_gets_more_substeps_unless_somebody_says_how_many():
-    assert weave(load()).substeps == USUAL_SUBSTEPS
+    assert build_cloth(load()).substeps == USUAL_SUBSTEPS
     fine = sheet(USUAL_EDGE * 10, USUAL_EDGE * 10, USUAL_EDGE / 2)
-    assert weave(fine).substeps == 4 * USUAL_SUBSTEPS
-    assert weave(fine, Fabric(substeps=3)).substeps == 3
+    assert build_cloth(fine).substeps == 4 * USUAL_SUBSTEPS
+    assert build_cloth(fine, Fabric(substeps=3)).substeps == 3
 
 
 def test_somebodys_own_shirt(tmp_path: Path):
@@ -135,7 +135,7 @@ def test_longest_edge_lets_a_limb_sink_by_the_thickness():
     with pytest.raises(
         GarmentError, match=r"edge between vertices \d+ and \d+ is 3\d\.\d mm.*27.0 mm"
     ):
-        weave(replace(SQUARE, vertices=1.39 * SQUARE.vertices))
+        build_cloth(replace(SQUARE, vertices=1.39 * SQUARE.vertices))
 
 
 def vertex(i: int, value) -> dict:
@@ -166,7 +166,7 @@ BAD = {
 def test_bad_garments_are_refused_with_the_place(what: str):
     changes, message = BAD[what]
     with pytest.raises(GarmentError, match=message):
-        weave(replace(SQUARE, **changes))
+        build_cloth(replace(SQUARE, **changes))
 
 
 def test_bad_descriptions_are_refused(tmp_path: Path):
@@ -196,4 +196,4 @@ def test_bad_descriptions_are_refused(tmp_path: Path):
 )  # fmt: skip
 def test_bad_fabrics_are_refused(changes: dict, message: str):
     with pytest.raises(GarmentError, match=message):
-        weave(SQUARE, Fabric(**changes))
+        build_cloth(SQUARE, Fabric(**changes))

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from agym_jax.offline import kinematics
 from agym_jax.data import banks as placement
-from agym_jax.offline import base_search as search
 from agym_jax.errors import SpecError
-from agym_jax.human import pose as person_pose
+from agym_jax.human import pose as human_pose
+from agym_jax.offline import base_search as search
+from agym_jax.offline import kinematics
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import build_scene
 from agym_jax.tasks import TASKS
@@ -125,11 +125,11 @@ def test_isotropy_falls_at_a_joint_limit():
 
 
 def test_chain_refuses_a_site_of_something_else():
-    chest = INDEX.person_body[INDEX.links.index("chest")]
+    chest = INDEX.human_body[INDEX.links.index("chest")]
     with pytest.raises(SpecError, match="does not hang on body"):
         kinematics.chain_of(MODEL, INDEX.robot_joint, INDEX.tools[0].tip, chest)
     with pytest.raises(SpecError, match="1 joints are not between"):
-        joints = np.append(INDEX.robot_joint, INDEX.person_joint[0])
+        joints = np.append(INDEX.robot_joint, INDEX.human_joint[0])
         kinematics.chain_of(MODEL, joints, SITE, INDEX.robot_base)
 
 
@@ -154,11 +154,11 @@ def test_every_row_of_the_bank_starts_where_assistive_gym_does():
 
 def test_no_row_of_the_bank_touches_anything():
     for sex, model in enumerate((SCENE.model, SCENE.female)):
-        typical = person_pose.typical(TASK.person, sex)
-        pose = person_pose.start_angles(typical, SCENE.moving, 1.0, np)
+        typical = human_pose.typical(TASK.human, sex)
+        pose = human_pose.start_angles(typical, SCENE.moving, 1.0, np)
         data = mujoco.MjData(model)
         for angles in placement.load_bank(TASK, ROBOT).arm_angles:
-            data.qpos[INDEX.robot_qpos], data.qpos[INDEX.person_qpos] = angles, pose
+            data.qpos[INDEX.robot_qpos], data.qpos[INDEX.human_qpos] = angles, pose
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_collision(model, data)

@@ -14,20 +14,20 @@ import pytest
 from meal_script import play
 
 import agym_jax
-from agym_jax.offline import kinematics
+from agym_jax.data.banks import load_bank
+from agym_jax.human.capsules import link_capsules
 from agym_jax.matter.particles.checks import MatterError, capacity
 from agym_jax.matter.particles.solver import Particles, ParticleSpec
-from agym_jax.offline.particle_fill import fill, load_settled
 from agym_jax.matter.shapes import columns, rotation
-from agym_jax.human.capsules import link_capsules
-from agym_jax.data.banks import load_bank
+from agym_jax.offline import kinematics
+from agym_jax.offline.particle_fill import fill, load_fill
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import build_scene
 from agym_jax.spec import Pose
 from agym_jax.tasks import TASKS
-from agym_jax.tasks.shared import meals
 from agym_jax.tasks.drinking import INSIDE, side_of
 from agym_jax.tasks.feeding import DISH
+from agym_jax.tasks.shared import meals
 
 PEOPLE = 24
 VESSELS: dict[str, tuple[str, Pose]] = {"Feeding": ("spoon", DISH), "Drinking": ("cup", INSIDE)}
@@ -44,15 +44,15 @@ def particles_of(state: Any) -> Particles:
 
 @cache
 def env_of(name: str) -> Any:
-    """One world on C MuJoCo."""
+    """One environment on C MuJoCo."""
     return agym_jax.make(name, impl="native")
 
 
 @cache
-def people(task: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def humans(task: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Their capsules, as they sit: both ends (PEOPLE, k, 3), radii (PEOPLE, k) [m]. No robot changes them."""
     env = env_of(f"{task}Jaco-v0")
-    bodies = dict(zip(env.scene.index.links, env.scene.index.person_body, strict=True))
+    bodies = dict(zip(env.scene.index.links, env.scene.index.human_body, strict=True))
     found = []
     for seed in range(PEOPLE):
         state = env.reset(jax.random.PRNGKey(seed))
@@ -60,7 +60,7 @@ def people(task: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         rot = {
             x: kinematics.rotation_matrix(np.asarray(state.data.xquat)[bodies[x]]) for x in LIMBS
         }
-        found.append(link_capsules(state.episode.person.dims, LIMBS, pos, rot))
+        found.append(link_capsules(state.episode.human.dims, LIMBS, pos, rot))
     a, b, radius = (np.stack([np.asarray(x) for x in part]) for part in zip(*found, strict=True))
     return a, b, radius
 
@@ -83,7 +83,7 @@ def test_an_episode_begins_with_a_full_vessel_that_touches_nobody(task: str, rob
         pos, rot, _ = kinematics.forward(chain, angles)
         inside = rotation(turn) @ rot @ rotation(jnp.array(frame.quat))
         where = base + rotation(turn) @ (pos + rot @ jnp.array(frame.pos))
-        particles = fill(load_settled(name), where, quaternion(inside))
+        particles = fill(load_fill(name), where, quaternion(inside))
         return particles.pos_w, (particles.pos_w - where) @ inside
 
     pos_w, local = begin(*map(jnp.asarray, (bank.arm_angles, bank.base_pos, bank.base_quat)))
@@ -101,7 +101,7 @@ def test_an_episode_begins_with_a_full_vessel_that_touches_nobody(task: str, rob
     # not on the person: the closest particle of each placement, by a sphere around all of them
     middle = np.asarray(pos_w).mean(1)
     reach = np.linalg.norm(np.asarray(pos_w) - middle[:, None], axis=-1).max() + spec.radius
-    a, b, radius = people(task)
+    a, b, radius = humans(task)
     away, axis = middle[:, None, None] - a, b - a
     square = np.maximum((axis * axis).sum(-1), 1e-12)
     share = np.clip((away * axis).sum(-1) / square, 0, 1)[..., None]

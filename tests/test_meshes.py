@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from fake_env import FakeEnv
 
-from agym_jax.rendering import meshes
 from agym_jax.adapters import gymnasium as adapter
 from agym_jax.errors import AgymError, MeshError, MissingExtraError, UnknownNameError
+from agym_jax.rendering import meshes
 from agym_jax.rendering.mesh_models import FIRST_UNSEEN, Paint
 from agym_jax.rendering.render import Renderer
 from agym_jax.robots import ROBOTS
@@ -110,8 +110,8 @@ def wearing(*sources: MeshModel | MeshPart) -> RobotSpec:
     return dataclasses.replace(JACO, meshes=sources)
 
 
-def shown(robot: RobotSpec, looks: str = "meshes") -> mujoco.MjModel:
-    return compose(TASK, robot, visual=True, looks=looks)
+def shown(robot: RobotSpec, visuals: str = "meshes") -> mujoco.MjModel:
+    return compose(TASK, robot, visual=True, visuals=visuals)
 
 
 def seen(scene: mujoco.MjModel, link: str, mesh: bool) -> list[int]:
@@ -193,8 +193,8 @@ def test_only_what_is_seen_changes(package: Path):
 
 
 def test_the_simulated_model_is_the_same_byte_for_byte(package: Path):
-    def stored(robot: RobotSpec, looks: str) -> bytes:
-        scene = compose(TASK, robot, looks=looks)
+    def stored(robot: RobotSpec, visuals: str) -> bytes:
+        scene = compose(TASK, robot, visuals=visuals)
         buffer = np.empty(mujoco.mj_sizeModel(scene), np.uint8)
         mujoco.mj_saveModel(scene, None, buffer)
         return buffer.tobytes()
@@ -212,9 +212,9 @@ def test_missing_package_names_itself_and_the_command(name: str, monkeypatch: py
     package = ROBOTS[name].meshes[0].package
     said = rf'{name} come with {package}, .*pip install "agym_jax\[meshes\]".*--no-deps {package}'
     for ask in (
-        lambda: meshes.check_looks("meshes", ROBOTS[name]),
+        lambda: meshes.check_visuals("meshes", ROBOTS[name]),
         lambda: shown(ROBOTS[name]),
-        lambda: gymnasium.make(f"Reaching{name}-v0", looks="meshes"),
+        lambda: gymnasium.make(f"Reaching{name}-v0", visuals="meshes"),
     ):
         with pytest.raises(MissingExtraError, match=said):
             ask()
@@ -229,9 +229,9 @@ def test_the_extra_lists_the_packages():
 @pytest.mark.parametrize(
     "ask",
     [
-        lambda: meshes.check_looks("meshs", JACO),
-        lambda: compose(TASK, JACO, visual=True, looks="meshs"),
-        lambda: gymnasium.make("ReachingJaco-v0", looks="meshs"),
+        lambda: meshes.check_visuals("meshs", JACO),
+        lambda: compose(TASK, JACO, visual=True, visuals="meshs"),
+        lambda: gymnasium.make("ReachingJaco-v0", visuals="meshs"),
     ],
 )
 def test_unknown_looks_get_the_nearest(ask):
@@ -346,12 +346,12 @@ def test_gymnasium_draws_them(package: Path, monkeypatch: pytest.MonkeyPatch, ra
     monkeypatch.setitem(ROBOTS, "Jaco", wearing(*everywhere))
     monkeypatch.setattr(adapter, "_programs", adapter._programs.__wrapped__)
     pictures = {}
-    for looks in meshes.LOOKS:
+    for visuals in meshes.VISUALS:
         env = gymnasium.make(
-            "ReachingJaco-v0", impl="native", render_mode="rgb_array", width=64, height=48, looks=looks
+            "ReachingJaco-v0", impl="native", render_mode="rgb_array", width=64, height=48, visuals=visuals
         )  # fmt: skip
         env.reset(seed=3)
-        pictures[looks] = np.asarray(env.render()).astype(int)
+        pictures[visuals] = np.asarray(env.render()).astype(int)
         env.close()
     magenta = {k: (p[..., 0] > 2 * p[..., 1]) & (p[..., 2] > 2 * p[..., 1]) for k, p in pictures.items()}  # fmt: skip
     assert magenta["meshes"].sum() > 10 > magenta["primitives"].sum()
@@ -362,16 +362,16 @@ def test_enjoy_asks_before_it_compiles_and_hands_looks_on(tmp_path: Path, capsys
         robot = JACO
         asked: str | None = None
 
-        def to_mujoco(self, state, looks="primitives"):
-            self.asked = looks
+        def to_mujoco(self, state, visuals="primitives"):
+            self.asked = visuals
             return super().to_mujoco(state)
 
     env = Dressed(episode_length=2)
     words = f"--policy zero --clip {tmp_path}/a.gif --width 16 --height 16 --backend raycast"
-    assert enjoy.main([*words.split(), "--looks", "meshs"], lambda *_: env) == 2
+    assert enjoy.main([*words.split(), "--visuals", "meshs"], lambda *_: env) == 2
     assert "Did you mean 'meshes'" in capsys.readouterr().err and env.asked is None
-    monkeypatch.setattr(enjoy, "check_looks", lambda *_: None)
-    assert enjoy.main([*words.split(), "--looks", "meshes"], lambda *_: env) == 0
+    monkeypatch.setattr(enjoy, "check_visuals", lambda *_: None)
+    assert enjoy.main([*words.split(), "--visuals", "meshes"], lambda *_: env) == 0
     assert env.asked == "meshes"
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from agym_jax.human import muscles
-from agym_jax.human.population import Person
+from agym_jax.human.population import Human
 from agym_jax.state import Episode
 from agym_jax.tasks import TASKS
 
-SPEC = TASKS["ScratchItch"].person
+SPEC = TASKS["ScratchItch"].human
 N = len(SPEC.joints)
 GIRDLE = np.array(["clavicle" in name for name in SPEC.joints])  # deviation girdle-support
 
@@ -68,30 +68,30 @@ def test_damping_grows_with_strength_and_never_vanishes():
 
 def _episode(tremor: float, step: int) -> Episode:
     one = jnp.float32(1.0)
-    person = Person(one, one, one, one, one, jnp.full(N, tremor, jnp.float32))
+    human = Human(one, one, one, one, one, jnp.full(N, tremor, jnp.float32))
     pose = jnp.array([SPEC.pose.get(j, 0.0) for j in SPEC.joints], jnp.float32)
-    return Episode(person, None, None, None, pose, pose, jnp.int32(step))  # ty: ignore
+    return Episode(human, None, None, None, pose, pose, jnp.int32(step))  # ty: ignore
 
 
 def test_tremor_alternates_around_the_held_pose_minus_first(static_env):
     # humans.md section 6: the counter is incremented before use, so the first step uses -A
     for step, sign in ((0, -1), (1, 1), (2, -1), (3, 1)):
         episode = _episode(0.1, step)
-        target, hold = static_env.driver.person_target(
-            episode, episode.person_target + 0.3, jnp.zeros(0)
+        target, hold = static_env.controller.human_target(
+            episode, episode.human_target + 0.3, jnp.zeros(0)
         )
-        np.testing.assert_allclose(target - episode.person_target, sign * 0.1, atol=1e-6)
-        np.testing.assert_array_equal(hold, episode.person_target)
+        np.testing.assert_allclose(target - episode.human_target, sign * 0.1, atol=1e-6)
+        np.testing.assert_array_equal(hold, episode.human_target)
 
 
 def test_active_person_acts_from_where_the_arm_is_and_a_trembling_one_from_the_pose(active_env):
     action = jnp.full(N, -0.2)  # x 0.25 rad
     for tremor in (0.0, 0.1):
         episode = _episode(tremor, 1)
-        measured = np.asarray(episode.person_target) + 0.02
-        target, hold = active_env.driver.person_target(episode, jnp.asarray(measured), action)
-        start = np.asarray(episode.person_target) if tremor else measured
-        low, high = active_env.scene.model.jnt_range[active_env.scene.index.person_joint].T
+        measured = np.asarray(episode.human_target) + 0.02
+        target, hold = active_env.controller.human_target(episode, jnp.asarray(measured), action)
+        start = np.asarray(episode.human_target) if tremor else measured
+        low, high = active_env.scene.model.jnt_range[active_env.scene.index.human_joint].T
         expected = np.clip(start - 0.05, low, high)
         np.testing.assert_allclose(hold, expected, atol=1e-5)
         np.testing.assert_allclose(target, expected + tremor, atol=1e-5)
@@ -104,7 +104,7 @@ def test_only_active_and_trembling_people_move():
 
 
 def test_limp_arms_have_no_muscles_and_frozen_people_no_motion():
-    limp, frozen = (dataclasses.replace(SPEC, still=x) for x in ("limp", "frozen"))
+    limp, frozen = (dataclasses.replace(SPEC, passive_mode=x) for x in ("limp", "frozen"))
     still, moving, one = jnp.bool_(False), jnp.bool_(True), jnp.float32(1.0)
     load = jnp.full(N, 0.3)
     clavicles = np.array(["clavicle" in x for x in SPEC.joints])
@@ -122,7 +122,7 @@ def test_limp_arms_have_no_muscles_and_frozen_people_no_motion():
 
 
 def test_mattress_bears_the_arm_of_who_lies_down():
-    lying = dataclasses.replace(SPEC, postures="BedBathing", still="limp")
+    lying = dataclasses.replace(SPEC, postures="BedBathing", passive_mode="limp")
     mine = muscles.muscles_of(lying, jnp.float32(1.0), jnp.bool_(False))
     torque = mine.torque(jnp.zeros(N), jnp.zeros(N), jnp.full(N, 0.3))
     np.testing.assert_array_equal(torque, 0.0)

@@ -14,15 +14,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import ACTIVE, BATCH, STATIC, Worlds
+from conftest import ACTIVE, BATCH, STATIC, CompiledBatch
 from test_parity import APPROACH, PRESS, WATCHED, one, press_goals
 
 import agym_jax
 from agym_jax.errors import ImplementationError
-from agym_jax.sim.c_mujoco import MOTION
 from agym_jax.human import limits
+from agym_jax.sense import add_contacts, no_contacts, read_contacts
+from agym_jax.sim.c_mujoco import MOTION
 from agym_jax.sim.physics import choose_impl
-from agym_jax.sense import add_touch, no_touch, read_touch
 from agym_jax.wrappers import vectorize
 from train import enjoy
 from train.evaluation.agents import baseline_policy
@@ -33,7 +33,7 @@ QPOS, OBS, REWARD, FORCE = 1e-5, 2e-4, 2e-3, 5e-4  # [rad], mixed, -, [N] or sha
 
 @pytest.fixture(scope="module")
 def native() -> agym_jax.Env:
-    """One world of a person who does not act."""
+    """One environment of a person who does not act."""
     return agym_jax.make(STATIC, impl="native")
 
 
@@ -45,8 +45,8 @@ def _close(mine: Any, theirs: Any, atol: float) -> None:
 
 
 @pytest.mark.jit
-def test_the_same_key_begins_the_same_episode_as_in_mjx(native: agym_jax.Env, worlds: Worlds):
-    states = worlds.reset(jax.random.PRNGKey(0))
+def test_the_same_key_begins_the_same_episode_as_in_mjx(native: agym_jax.Env, batch: CompiledBatch):
+    states = batch.reset(jax.random.PRNGKey(0))
     for i, key in enumerate(jax.random.split(jax.random.PRNGKey(0), BATCH)):
         mine, theirs = native.reset(key), one(states, i)
         _close(mine.obs, theirs.obs, 1e-5)
@@ -57,17 +57,17 @@ def test_the_same_key_begins_the_same_episode_as_in_mjx(native: agym_jax.Env, wo
             np.testing.assert_allclose(getattr(mine.data, name), getattr(theirs.data, name))
 
 
-def _as_native(state: Any, blank: Any) -> Any:
+def _as_native(state: Any, make_data: Any) -> Any:
     """A state of MJX with the same numbers in C MuJoCo's data."""
     numbers = {name: np.asarray(getattr(state.data, name)) for name in MOTION}
-    return state.replace(data=blank.replace(**numbers), info={})
+    return state.replace(data=make_data.replace(**numbers), info={})
 
 
 @pytest.mark.jit
 @pytest.mark.parity
-def test_every_step_of_a_pressing_robot_is_mjxs(native: agym_jax.Env, worlds: Worlds):
-    state = worlds.reset(jax.random.PRNGKey(0))
-    goals, blank = press_goals(worlds, state), native.physics.blank()
+def test_every_step_of_a_pressing_robot_is_mjxs(native: agym_jax.Env, batch: CompiledBatch):
+    state = batch.reset(jax.random.PRNGKey(0))
+    goals, make_data = press_goals(batch, state), native.physics.make_data()
     robot, scale = native.scene.index.robot_qpos, native.task.control.action_scale
     worst = {"qpos": 0.0, "obs": 0.0, "reward": 0.0, "force": 0.0}
     pressing = 0
@@ -75,21 +75,24 @@ def test_every_step_of_a_pressing_robot_is_mjxs(native: agym_jax.Env, worlds: Wo
         before = state
         at = np.asarray(state.data.qpos)[:, robot]
         action = np.clip((goals - at) / scale, -1, 1).astype(np.float32)
-        state = worlds.step(state, action)
+        state = batch.step(state, action)
         for i in WATCHED if t >= APPROACH else ():
-            mine, theirs = native.step(_as_native(one(before, i), blank), action[i]), one(state, i)
+            mine, theirs = (
+                native.step(_as_native(one(before, i), make_data), action[i]),
+                one(state, i),
+            )
             force, their_force = (
                 {k: float(v) for k, v in x.metrics.items() if k.startswith("force/")}
                 for x in (mine, theirs)
             )
             gaps = {
                 "qpos": np.abs(mine.data.qpos - theirs.data.qpos).max(),
-                "obs": np.abs(mine.obs - theirs.info["terminal_obs"]).max(),
+                "obs": np.abs(mine.obs - theirs.info["final_observation"]).max(),
                 "reward": abs(float(mine.reward - theirs.reward)),
                 "force": max(abs(v - their_force[k]) / max(1.0, v) for k, v in force.items()),
             }
             worst = {k: max(v, float(gaps[k])) for k, v in worst.items()}
-            pressing += force["force/on_person"] > 0.05
+            pressing += force["force/on_human"] > 0.05
             _close(mine.task, theirs.task, 1e-4)
             assert set(mine.metrics) == set(theirs.metrics)
     assert pressing > 0.5 * PRESS * len(WATCHED)  # it was about contact
@@ -123,23 +126,23 @@ def test_every_kind_of_environment_begins_as_in_mjx_and_steps(name: str):
 def test_touch_in_numpy_is_the_touch_in_jax(native: agym_jax.Env):
     index, n = native.scene.index, native.scene.model.nsensordata
     rows = np.random.default_rng(0).normal(size=(5, n)).astype(np.float32)
-    total = no_touch(index)
+    total = no_contacts(index)
     for row in rows:
-        total = add_touch(index, total, jnp.asarray(row))
-    mine = jax.tree.map(lambda x: x.sum(0), read_touch(index, rows, np))
+        total = add_contacts(index, total, jnp.asarray(row))
+    mine = jax.tree.map(lambda x: x.sum(0), read_contacts(index, rows, np))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), mine, total)
-    assert float(total.robot_person) > 0 and total.tools[0].moment.shape[1] == 3
+    assert float(total.robot_human) > 0 and total.tools[0].moment.shape[1] == 3
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_limits_are_left_out_only_where_they_push_nothing(side: float, native: agym_jax.Env):
-    rng, driver = np.random.default_rng(1), native.driver
+    rng, controller = np.random.default_rng(1), native.controller
     names = native.scene.moving
-    arm, sign = driver.arms[0]
+    arm, sign = controller.arms[0]
     assert sign == 1.0 and [names[i] for i in arm] == [
         "r_shoulder_y", "r_shoulder_x", "r_shoulder_z", "r_elbow_x",
     ]  # fmt: skip
-    weights = driver.arm_limits
+    weights = controller.arm_limits
     q = weights.center + weights.half_range * rng.uniform(-1.2, 1.2, (300, 4))
     q = q.astype(np.float32)
     torque = jax.vmap(lambda x: limits.limit_torque(weights, x, jnp.ones(4), side))(
@@ -214,10 +217,10 @@ def test_a_step_depends_on_its_arguments_alone(native: agym_jax.Env):
 @pytest.mark.jit
 def test_restart_begins_the_next_episode_or_does_nothing(native: agym_jax.Env):
     state = native.step(native.reset(jax.random.PRNGKey(0)), np.ones(7))
-    same = native.restart(state, jnp.bool_(False))
+    same = native.reset_where(state, jnp.bool_(False))
     _close((same.obs, same.task, same.episode), (state.obs, state.task, state.episode), 0.0)
     np.testing.assert_array_equal(same.data.numbers, state.data.numbers)
-    fresh = native.restart(state, jnp.bool_(True))
+    fresh = native.reset_where(state, jnp.bool_(True))
     key, key_next = jax.random.split(state.key)
     np.testing.assert_allclose(fresh.obs, native.reset(key).obs, atol=1e-6)
     np.testing.assert_array_equal(fresh.key, key_next)
@@ -240,19 +243,19 @@ def test_enjoy_plays_one_world_on_it(native: agym_jax.Env):
 
 @pytest.mark.jit
 def test_tracing_it_is_refused_with_what_to_do(native: agym_jax.Env):
-    with pytest.raises(ImplementationError, match=r"one world at a time.*Use impl='jax'"):
+    with pytest.raises(ImplementationError, match=r"one environment at a time.*Use impl='jax'"):
         jax.jit(native.reset)(jax.random.PRNGKey(0))
-    with pytest.raises(ImplementationError, match="one world at a time"):
+    with pytest.raises(ImplementationError, match="one environment at a time"):
         vectorize(native, 2).reset(jax.random.PRNGKey(0))
     state = native.reset(jax.random.PRNGKey(0))
-    with pytest.raises(ImplementationError, match="one world at a time"):
+    with pytest.raises(ImplementationError, match="one environment at a time"):
         jax.jit(native.step)(state, jnp.zeros(7))
 
 
 def test_auto_is_native_for_one_world_on_a_cpu_only():
-    alone, many = choose_impl("auto", one_world=True), choose_impl("auto")
+    alone, many = choose_impl("auto", single_env=True), choose_impl("auto")
     assert many in ("jax", "warp")
     assert alone == ("native" if jax.default_backend() == "cpu" else many)
-    assert choose_impl("jax", one_world=True) == "jax" and choose_impl("native") == "native"
+    assert choose_impl("jax", single_env=True) == "jax" and choose_impl("native") == "native"
     with pytest.raises(ImplementationError, match="There are: auto, jax, native, warp"):
         choose_impl("mujoco")

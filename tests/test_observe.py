@@ -25,9 +25,9 @@ ROBOT = {
     "shoulder_pos_torso": 3, "elbow_pos_torso": 3, "wrist_pos_torso": 3, "tool_force": 1,
 }  # fmt: skip
 PERSON = {
-    "tool_pos_person": 3, "tool_quat_w": 4, "tool_pos_target": 3, "target_pos_person": 3,
-    "person_angles": 10, "shoulder_pos_person": 3, "elbow_pos_person": 3, "wrist_pos_person": 3,
-    "force_on_person": 1, "force_at_target": 1,
+    "tool_pos_human": 3, "tool_quat_w": 4, "tool_pos_target": 3, "target_pos_human": 3,
+    "human_angles": 10, "shoulder_pos_human": 3, "elbow_pos_human": 3, "wrist_pos_human": 3,
+    "force_on_human": 1, "force_at_target": 1,
 }  # fmt: skip
 
 
@@ -40,7 +40,7 @@ class Toy:
 
 
 @pytest.mark.parametrize(
-    ("record", "expected", "total"), [(TASK.robot_obs, ROBOT, 30), (TASK.person_obs, PERSON, 34)]
+    ("record", "expected", "total"), [(TASK.robot_obs, ROBOT, 30), (TASK.human_obs, PERSON, 34)]
 )
 def test_layout_is_the_references(record: type, expected: dict, total: int):
     assert {n: c.size for n, c in observe.columns(record).items()} == expected
@@ -53,18 +53,18 @@ def test_layout_is_the_references(record: type, expected: dict, total: int):
 
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize(
-    ("task", "robot_action", "person_action", "robot_obs", "person_obs"),
+    ("task", "robot_action", "human_action", "robot_obs", "human_obs"),
     [  # tasks.md section 1.2
         ("ScratchItch", 7, 10, 30, 34), ("BedBathing", 7, 10, 24, 28),
         ("ArmManipulation", 14, 10, 45, 42), ("Reaching", 7, 4, 21, 19),
     ],
 )  # fmt: skip
 def test_every_pair_has_the_references_sizes(
-    task: str, robot: str, robot_action: int, person_action: int, robot_obs: int, person_obs: int
+    task: str, robot: str, robot_action: int, human_action: int, robot_obs: int, human_obs: int
 ):
     spec = TASKS[task]
-    assert (observe.size(spec.robot_obs), observe.size(spec.person_obs)) == (robot_obs, person_obs)
-    assert len(spec.person.moving(active=True)) == person_action
+    assert (observe.size(spec.robot_obs), observe.size(spec.human_obs)) == (robot_obs, human_obs)
+    assert len(spec.human.moving(active=True)) == human_action
     joints = [j for arm in ROBOTS[robot].arms_for(spec) for j in arm.joints]
     one_armed = robot in ("Jaco", "Sawyer")  # deviation one-arm: AG ignores 7 of the 14
     assert len(joints) == (7 if one_armed else robot_action)
@@ -74,8 +74,8 @@ def test_environments_have_the_references_sizes(static_env, active_env):
     # tasks.md section 1.2
     assert (static_env.observation_size, static_env.action_size) == (30, 7)
     assert (active_env.observation_size, active_env.action_size) == (64, 17)
-    assert active_env.observation_sizes == {"robot": 30, "person": 34}
-    assert active_env.action_sizes == {"robot": 7, "person": 10}
+    assert active_env.observation_sizes == {"robot": 30, "human": 34}
+    assert active_env.action_sizes == {"robot": 7, "human": 10}
 
 
 def test_flatten_keeps_the_order():
@@ -154,7 +154,7 @@ def test_command_line_prints_every_column(capsys: pytest.CaptureFixture):
     assert "| 29 | `tool_force` | N |" in out and "| 32 | `force_on_person` |" in out
     assert "Robot: 30 columns" in out and "Person: 34 columns" in out
     assert observe.main(["ScratchItchJaco-v0"]) == 0
-    assert "Person" not in capsys.readouterr().out
+    assert "Human" not in capsys.readouterr().out
 
 
 def test_command_line_refuses_nonsense(capsys: pytest.CaptureFixture):

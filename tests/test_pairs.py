@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import agym_jax
-from agym_jax.human import anthropometry
-from agym_jax.human import pose as person_pose
-from agym_jax.human.posture import load_postures
 from agym_jax.data.banks import load_bank
+from agym_jax.human import anthropometry
+from agym_jax.human import pose as human_pose
+from agym_jax.human.posture import load_postures
 from agym_jax.registry import parse
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
@@ -41,30 +41,30 @@ def test_ids_are_the_product_of_tasks_robots_and_people():
 @pytest.mark.parametrize("name", agym_jax.list_envs())
 def test_sizes_are_those_of_the_reference(name: str):
     recipe = parse(name)
-    act_robot, act_person, obs_robot, obs_person = SIZES[recipe.task.name]
+    act_robot, act_human, obs_robot, obs_human = SIZES[recipe.task.name]
     if recipe.task.name == "ArmManipulation" and recipe.robot.name in ONE_ARMED:
         act_robot = 7  # deviation one-arm
     env = agym_jax.make(name, impl="jax")
-    assert env.action_size == act_robot + (act_person if recipe.active else 0)
-    assert env.observation_size == obs_robot + (obs_person if recipe.active else 0)
+    assert env.action_size == act_robot + (act_human if recipe.active else 0)
+    assert env.observation_size == obs_robot + (obs_human if recipe.active else 0)
     assert env.episode_length == 200
 
 
-def _people(task):
+def _humans(task):
     """Men and women with full and with narrow limits, as they begin: sex, limit scale, pose."""
     for sex in (0.0, 1.0):
         d = anthropometry.dims(sex)
-        if not task.person.postures:
+        if not task.human.postures:
             for scale in (1.0, 0.6):
-                pose = person_pose.typical(task.person, sex, limit_scale=scale)
+                pose = human_pose.typical(task.human, sex, limit_scale=scale)
                 yield sex, scale, pose
             continue
-        bank = load_postures(task.person.postures)
+        bank = load_postures(task.human.postures)
         own = (bank.sex == sex) & (bank.stature == 1.0) & (bank.girth == 1.0)
         full = np.flatnonzero(own & (bank.limit_scale == 1.0))
         narrow = np.flatnonzero(own & (bank.limit_scale < 0.8))
         for row in (full[3], full[90], narrow[7]):
-            yield sex, float(bank.limit_scale[row]), person_pose.lying(bank, row, d, np)
+            yield sex, float(bank.limit_scale[row]), human_pose.lying(bank, row, d, np)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -73,29 +73,29 @@ def test_nobody_begins_inside_of_anything(task: str, robot: str):
     recipe = parse(f"{task}{robot}Human-v0")  # the active person's arm is free in every task
     bank = load_bank(recipe.task, recipe.robot)
     joints = [f"robot/{x}" for arm in recipe.robot.arms_for(recipe.task) for x in arm.joints]
-    moving = recipe.task.person.moving(active=True)
-    for i, (sex, scale, pose) in enumerate(_people(recipe.task)):
+    moving = recipe.task.human.moving(active=True)
+    for i, (sex, scale, pose) in enumerate(_humans(recipe.task)):
         row = 37 * i
         base = Pose(tuple(bank.base_pos[row].tolist()), tuple(bank.base_quat[row].tolist()))
         model = compose(
             recipe.task, recipe.robot, True, sex, limit_scale=scale, pose=pose, base=base
         )
         data = mujoco.MjData(model)
-        angles = person_pose.start_angles(pose, moving, scale, np)
-        names = [*joints, *(f"person/{x}" for x in moving)]
+        angles = human_pose.start_angles(pose, moving, scale, np)
+        names = [*joints, *(f"human/{x}" for x in moving)]
         for name, angle in zip(names, [*bank.arm_angles[row], *angles], strict=True):
             data.qpos[model.joint(name).qposadr[0]] = angle
         mujoco.mj_forward(model, data)
         deepest = min((c.dist for c in data.contact), default=0.0)
         assert deepest > -DEEPEST, (sex, scale, deepest)
-        if recipe.task.person.postures:  # trunk and arm are borne by the mattress
+        if recipe.task.human.postures:  # trunk and arm are borne by the mattress
             for link in ("right_upper_arm", "hips"):
                 assert _gap(model, data, link, recipe.task.seat.geoms) < DEEPEST, (sex, scale, link)
 
 
 def _gap(model: mujoco.MjModel, data: mujoco.MjData, link: str, seat: tuple[str, ...]) -> float:
     """Distance of a link of the person to what it lies on [m]."""
-    mine = model.geom(f"person/{link}").id
+    mine = model.geom(f"human/{link}").id
     return min(
         mujoco.mj_geomDistance(model, data, mine, model.geom(f"seat/{x}").id, 0.2, None)
         for x in seat

@@ -14,19 +14,19 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from conftest import BATCH, Rollout, Worlds, compiled_person
+from conftest import BATCH, CompiledBatch, Rollout, compiled_human
 
-from agym_jax.offline import kinematics
-from agym_jax.sim.episode import person_rows
 from agym_jax.human.body import RIGHT_ARM_LINKS
-from agym_jax.human.population import People, draw_person
-from agym_jax.human.pose import draw_pose
-from agym_jax.sense import add_touch, at_rest, no_touch, sense
+from agym_jax.human.population import Population, sample_human
+from agym_jax.human.pose import sample_pose
+from agym_jax.offline import kinematics
+from agym_jax.sense import add_contacts, at_rest, no_contacts, sense
+from agym_jax.sim.episode import human_rows
 from agym_jax.state import Episode, Placement
 
 pytestmark = pytest.mark.parity
 APPROACH, PRESS = 12, 16  # control steps
-WATCHED = (0, 2, 4, 7)  # worlds that C MuJoCo follows
+WATCHED = (0, 2, 4, 7)  # environments that C MuJoCo follows
 
 # Float32 against float64 over one control step from the same state, in contact. Measured maxima of
 # 64 such steps: 1e-6 rad, 3e-5 rad/s and 5e-5 N at up to 2 N; ten times that is allowed.
@@ -34,7 +34,7 @@ QPOS, QVEL, FORCE = 1e-5, 3e-4, 5e-4  # [rad], [rad/s], [N] or share of the forc
 
 
 def one(tree: Any, i: int) -> Any:
-    """One world of a batch."""
+    """One environment of a batch."""
     return jax.tree.map(lambda x: x[i], tree)
 
 
@@ -52,10 +52,10 @@ def crowd(static_env) -> Episode:
     """Five people of all sizes and impairments, each with a robot base of its own."""
     env, n = static_env, 5
     rng = np.random.default_rng(0)
-    spec = env.task.person
-    person = jax.vmap(
-        lambda k: draw_person(
-            k, People(sizes="continuous"), len(spec.joints), 0.2, spec.impairments
+    spec = env.task.human
+    human = jax.vmap(
+        lambda k: sample_human(
+            k, Population(sizes="continuous"), len(spec.joints), 0.2, spec.impairments
         )
     )(jax.random.split(jax.random.PRNGKey(4), n))
     quat = rng.normal(size=(n, 4))
@@ -65,18 +65,18 @@ def crowd(static_env) -> Episode:
         jnp.zeros((n, len(env.scene.index.robot_joint))),
     )
     zero = jnp.zeros((n, len(spec.joints)))
-    pose = jax.vmap(draw_pose, (0, None, 0))(
-        jax.random.split(jax.random.PRNGKey(5), n), spec, person
+    pose = jax.vmap(sample_pose, (0, None, 0))(
+        jax.random.split(jax.random.PRNGKey(5), n), spec, human
     )
-    rows = jax.vmap(lambda p, how: person_rows(env.scene, spec, p, how))(person, pose)
-    return Episode(person, pose, rows, placement, zero, zero, jnp.zeros(n, jnp.int32))
+    rows = jax.vmap(lambda p, how: human_rows(env.scene, spec, p, how))(human, pose)
+    return Episode(human, pose, rows, placement, zero, zero, jnp.zeros(n, jnp.int32))
 
 
 def test_fields_written_per_person_are_those_of_a_fresh_compilation(static_env, crowd: Episode):
     for i in range(5):
         episode = one(crowd, i)
         mine = static_env.physics.model_of(episode)
-        theirs = compiled_person(static_env, episode)
+        theirs = compiled_human(static_env, episode)
         for name in FIELDS:
             a, b = np.asarray(getattr(mine, name)), getattr(theirs, name)
             if name.endswith("quat"):
@@ -88,11 +88,11 @@ def test_fields_written_per_person_are_those_of_a_fresh_compilation(static_env, 
 
 
 @pytest.mark.jit
-def test_kinematics_of_different_people_are_c_mujocos(worlds: Worlds, rollout: Rollout):
+def test_kinematics_of_different_people_are_c_mujocos(batch: CompiledBatch, rollout: Rollout):
     state = rollout.last
-    assert 0 < np.sum(np.asarray(state.episode.person.sex)) < BATCH
+    assert 0 < np.sum(np.asarray(state.episode.human.sex)) < BATCH
     for i in range(BATCH):
-        model = compiled_person(worlds.env, one(state.episode, i))
+        model = compiled_human(batch.env, one(state.episode, i))
         c = mujoco.MjData(model)
         c.qpos[:] = np.asarray(state.data.qpos[i])
         mujoco.mj_kinematics(model, c)
@@ -115,13 +115,13 @@ def test_kinematics_of_different_people_are_c_mujocos(worlds: Worlds, rollout: R
 # -- pressing on an arm -------------------------------------------------------------------------
 
 
-def press_goals(worlds: Worlds, state: Any) -> np.ndarray:
+def press_goals(batch: CompiledBatch, state: Any) -> np.ndarray:
     """Joint angles that put the tip of the tool 4 cm behind the limb's axis (B, n_arm)."""
-    env, index = worlds.env, worlds.env.scene.index
+    env, index = batch.env, batch.env.scene.index
     model = env.scene.model
     tip_site = index.tools[0].tip
     chain = kinematics.chain_of(model, index.robot_joint, tip_site, index.robot_base)
-    bodies = dict(zip(index.links, index.person_body, strict=True))
+    bodies = dict(zip(index.links, index.human_body, strict=True))
     shoulder, elbow, hand = (np.asarray(state.data.xpos[:, bodies[x]]) for x in RIGHT_ARM_LINKS)
     tip = np.asarray(state.data.site_xpos[:, tip_site])
     on_forearm = (np.arange(BATCH) % 2 == 0)[:, None]
@@ -144,20 +144,20 @@ def press_goals(worlds: Worlds, state: Any) -> np.ndarray:
 
 
 class _Shadow:
-    """One world in C MuJoCo, set to MJX's state before every control step."""
+    """One environment in C MuJoCo, set to MJX's state before every control step."""
 
     def __init__(self, env: Any, episode: Episode):
         self.env, self.index = env, env.scene.index
-        self.model = compiled_person(env, episode)
+        self.model = compiled_human(env, episode)
         mine = env.physics.model_of(episode)
         # the motors' damping belongs to the episode; invweights are interpolated on purpose
         for name in ("dof_damping", "body_invweight0", "dof_invweight0"):
             getattr(self.model, name)[:] = np.asarray(getattr(mine, name))
         self.data = mujoco.MjData(self.model)
-        muscles = env.driver.muscles(episode.person)
+        muscles = env.controller.muscles(episode.human)
         self.torque = jax.jit(
             lambda target, q, v, load: (
-                muscles.torque(target, q, load) + env.driver.limit_torque(q, v)
+                muscles.torque(target, q, load) + env.controller.limit_torque(q, v)
             )
         )
 
@@ -167,27 +167,27 @@ class _Shadow:
         for name in ("qpos", "qvel", "qacc_warmstart", "qfrc_bias"):
             getattr(d, name)[:] = np.asarray(getattr(before.data, name))
         d.ctrl[:] = ctrl
-        held = jnp.asarray(before.data.qpos)[index.person_qpos]
-        target, _ = self.env.driver.person_target(before.episode, held, jnp.zeros(0))
-        touch, contacts = no_touch(index), 0
+        held = jnp.asarray(before.data.qpos)[index.human_qpos]
+        target, _ = self.env.controller.human_target(before.episode, held, jnp.zeros(0))
+        touch, contacts = no_contacts(index), 0
         for _ in range(self.env.task.control.frame_skip):
-            q, v = d.qpos[index.person_qpos], d.qvel[index.person_dof]
-            load = d.qfrc_bias[index.person_dof]
-            d.qfrc_applied[index.person_dof] = self.torque(
+            q, v = d.qpos[index.human_qpos], d.qvel[index.human_dof]
+            load = d.qfrc_bias[index.human_dof]
+            d.qfrc_applied[index.human_dof] = self.torque(
                 target, *(jnp.asarray(x, jnp.float32) for x in (q, v, load))
             )
             mujoco.mj_step(self.model, d)
-            touch = add_touch(index, touch, jnp.asarray(d.sensordata, jnp.float32))
+            touch = add_contacts(index, touch, jnp.asarray(d.sensordata, jnp.float32))
             contacts = max(contacts, d.ncon)
         mujoco.mj_kinematics(self.model, d)
         return touch, contacts
 
 
 @pytest.mark.jit
-def test_pressing_on_an_arm_is_c_mujocos(worlds: Worlds):
-    env, index = worlds.env, worlds.env.scene.index
-    state = worlds.reset(jax.random.PRNGKey(0))
-    goals = press_goals(worlds, state)
+def test_pressing_on_an_arm_is_c_mujocos(batch: CompiledBatch):
+    env, index = batch.env, batch.env.scene.index
+    state = batch.reset(jax.random.PRNGKey(0))
+    goals = press_goals(batch, state)
     scale = env.task.control.action_scale
     shadows = {i: _Shadow(env.env, one(state.episode, i)) for i in WATCHED}
     worst = {"qpos": 0.0, "qvel": 0.0, "force": 0.0}
@@ -195,7 +195,7 @@ def test_pressing_on_an_arm_is_c_mujocos(worlds: Worlds):
     for t in range(APPROACH + PRESS):
         before = state
         at = np.asarray(state.data.qpos)[:, index.robot_qpos]
-        state = worlds.step(state, np.clip((goals - at) / scale, -1, 1).astype(np.float32))
+        state = batch.step(state, np.clip((goals - at) / scale, -1, 1).astype(np.float32))
         if t < APPROACH:
             continue
         for i, shadow in shadows.items():
@@ -203,8 +203,8 @@ def test_pressing_on_an_arm_is_c_mujocos(worlds: Worlds):
             assert contacts <= 8  # scene.MAX_CONTACTS: MJX would leave some out
             c, mine = shadow.data, one(state.data, i)
             assert np.abs(c.qvel).max() > 0
-            force = float(jnp.sum(touch.tools[0].force) + touch.robot_person) / 5
-            theirs = float(state.metrics["force/on_person"][i])
+            force = float(jnp.sum(touch.tools[0].force) + touch.robot_human) / 5
+            theirs = float(state.metrics["force/on_human"][i])
             worst["qpos"] = max(worst["qpos"], np.abs(c.qpos - mine.qpos).max())
             worst["qvel"] = max(worst["qvel"], np.abs(c.qvel - mine.qvel).max())
             worst["force"] = max(worst["force"], abs(force - theirs) / max(1.0, force))
@@ -217,18 +217,18 @@ def test_pressing_on_an_arm_is_c_mujocos(worlds: Worlds):
 
 
 @pytest.mark.jit
-def test_sense_reads_c_mujocos_data_as_it_reads_mjxs(worlds: Worlds):
-    env, index = worlds.env, worlds.env.scene.index
-    state = worlds.reset(jax.random.PRNGKey(0))
+def test_sense_reads_c_mujocos_data_as_it_reads_mjxs(batch: CompiledBatch):
+    env, index = batch.env, batch.env.scene.index
+    state = batch.reset(jax.random.PRNGKey(0))
     world = one(state, 0)
     shadow = _Shadow(env.env, world.episode)
     shadow.data.qpos[:], shadow.data.qvel[:] = np.asarray(world.data.qpos), 0.1
     mujoco.mj_kinematics(shadow.model, shadow.data)
-    dims = world.episode.person.dims
+    dims = world.episode.human.dims
     data = world.data.replace(qvel=jnp.full_like(world.data.qvel, 0.1))
     sizes = shadow.model.geom_size
     mine, theirs = (
-        sense(index, d, no_touch(index), at_rest(index, d, 1), dims, sizes)
+        sense(index, d, no_contacts(index), at_rest(index, d, 1), dims, sizes)
         for d in (data, shadow.data)
     )
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), mine, theirs)

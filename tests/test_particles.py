@@ -12,8 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.matter.particles import solver as matter
 from agym_jax.matter.fused_scan import kernel
+from agym_jax.matter.particles import solver as matter
+from agym_jax.matter.particles.constraints import CALM, push_pairs, push_vessel
+from agym_jax.matter.particles.containers import CUP, SPOON
 from agym_jax.matter.particles.solver import (
     FOOD,
     WATER,
@@ -24,11 +26,9 @@ from agym_jax.matter.particles.solver import (
     advance,
     step,
 )
-from agym_jax.matter.particles.constraints import CALM, push_pairs, push_vessel
 from agym_jax.matter.shapes import Boxes, Capsules, columns
-from agym_jax.matter.particles.containers import CUP, SPOON
 
-DT, STEPS, WORLDS, R, MU, G = 0.002, 200, 8, 0.005, 0.3, 9.81
+DT, STEPS, NUM_ENVS, R, MU, G = 0.002, 200, 8, 0.005, 0.3, 9.81
 SPEC = ParticleSpec(CUP, count=3, radius=R, friction=MU, damping=0.0, substeps=1, sweeps=2)
 DAMPING = 0.5
 FREE = replace(SPEC, count=6, gravity=0.0, damping=DAMPING)
@@ -48,24 +48,24 @@ def scene(**changes: Any) -> dict[str, np.ndarray]:
     return {k: np.asarray(v, np.float32) for k, v in (far | changes).items()}
 
 
-def obstacles(worlds: list[dict[str, np.ndarray]], speed: Any = 0.0) -> Obstacles:
+def obstacles(batch: list[dict[str, np.ndarray]], speed: Any = 0.0) -> Obstacles:
     """A batch of scenes at STEPS + 1 moments; capsules move with a velocity [m/s]."""
-    x = {k: jnp.stack([jnp.asarray(w[k]) for w in worlds]) for k in worlds[0]}
+    x = {k: jnp.stack([jnp.asarray(w[k]) for w in batch]) for k in batch[0]}
     moments = jnp.arange(STEPS + 1)[None, :, None]
-    still = lambda v: jnp.broadcast_to(v[:, None], (len(worlds), STEPS + 1, *v.shape[1:]))  # noqa: E731
+    still = lambda v: jnp.broadcast_to(v[:, None], (len(batch), STEPS + 1, *v.shape[1:]))  # noqa: E731
     away = (moments * DT * jnp.asarray(speed, jnp.float32))[:, :, None, :]
     return Obstacles(
         vessel_pos_w=still(x["vessel"]),
         vessel_quat_w=still(x["turn"]),
-        person=Capsules(still(x["a"]) + away, still(x["b"]) + away, x["radius"]),
+        human=Capsules(still(x["a"]) + away, still(x["b"]) + away, x["radius"]),
         furniture=Boxes(x["box"], x["tilt"], x["half"]),
         floor=x["floor"],
     )
 
 
 def particles(pos: Any, vel: Any = 0.0, alive: Any = True) -> Particles:
-    """A batch of worlds (WORLDS, n, 3)."""
-    pos = np.broadcast_to(np.asarray(pos, np.float32), (WORLDS, *np.shape(pos)[-2:]))
+    """A batch of environments (WORLDS, n, 3)."""
+    pos = np.broadcast_to(np.asarray(pos, np.float32), (NUM_ENVS, *np.shape(pos)[-2:]))
     return Particles(
         jnp.asarray(pos),
         jnp.asarray(np.broadcast_to(np.asarray(vel, np.float32), pos.shape)),
@@ -75,13 +75,13 @@ def particles(pos: Any, vel: Any = 0.0, alive: Any = True) -> Particles:
 
 @pytest.fixture(scope="module")
 def run() -> Any:
-    """0.4 s of eight worlds of three particles."""
+    """0.4 s of eight environments of three particles."""
     return jax.jit(jax.vmap(lambda p, m: advance(SPEC, p, m, DT)))
 
 
 @pytest.fixture(scope="module")
 def drift() -> Any:
-    """0.4 s of eight worlds of six particles without gravity."""
+    """0.4 s of eight environments of six particles without gravity."""
     return jax.jit(jax.vmap(lambda p, m: advance(FREE, p, m, DT)))
 
 
@@ -91,11 +91,11 @@ APART = np.array([[0.0, 0, 1.0], [0.3, 0, 1.0], [0.6, 0, 1.0]])
 
 def test_free_fall(run: Any) -> None:
     vel = np.array([[1.0, 0.5, 2.0], [0, 0, 0], [-2.0, 0, 1.0]])
-    after, contact = run(particles(HIGH, vel), obstacles([scene()] * WORLDS))
+    after, contact = run(particles(HIGH, vel), obstacles([scene()] * NUM_ENVS))
     expected = HIGH + vel * TIME - [0, 0, G * TIME**2 / 2]
     np.testing.assert_allclose(after.pos_w[3], expected, atol=G * TIME * DT / 2 + 1e-4)
     np.testing.assert_allclose(after.vel_w[3], vel - [0, 0, G * TIME], atol=5e-3)
-    for touched in (contact.vessel, contact.person, contact.furniture, contact.floor):
+    for touched in (contact.vessel, contact.human, contact.furniture, contact.floor):
         assert not np.any(touched)
 
 
@@ -103,7 +103,7 @@ def test_damping_and_the_greatest_speed(drift: Any) -> None:
     pos = np.arange(6.0)[:, None] * [0, 1.0, 0]
     vel = np.zeros((6, 3))
     vel[:2, 0] = 1.0, 10.0
-    after, _ = drift(particles(pos, vel), obstacles([scene()] * WORLDS))
+    after, _ = drift(particles(pos, vel), obstacles([scene()] * NUM_ENVS))
     assert after.vel_w[0, 0, 0] == pytest.approx(np.exp(-DAMPING * TIME), abs=1e-3)
     path = 6.0 * (1 - np.exp(-DAMPING * TIME)) / DAMPING
     assert after.pos_w[0, 1, 0] == pytest.approx(path, rel=1e-3)
@@ -111,13 +111,13 @@ def test_damping_and_the_greatest_speed(drift: Any) -> None:
 
 def test_rest_on_the_floor(run: Any) -> None:
     """No creep, no sinking: ten times 0.4 s."""
-    state, motion = particles(APART * [1, 1, R]), obstacles([scene(floor=0.0)] * WORLDS)
+    state, motion = particles(APART * [1, 1, R]), obstacles([scene(floor=0.0)] * NUM_ENVS)
     for _ in range(10):
         state, contact = run(state, motion)
     np.testing.assert_allclose(state.pos_w[0], APART * [1, 1, R], atol=2e-5)
     np.testing.assert_allclose(state.vel_w[0], 0.0, atol=1e-3)
     assert np.all(contact.floor)
-    assert not np.any(contact.furniture | contact.person | contact.vessel)
+    assert not np.any(contact.furniture | contact.human | contact.vessel)
 
 
 def test_sticks_and_slides_on_slopes(run: Any) -> None:
@@ -142,7 +142,7 @@ def test_sticks_and_slides_on_slopes(run: Any) -> None:
 
 def test_a_particle_that_is_thrown_stops_by_friction(run: Any) -> None:
     vel = np.array([[0, 0.5, 0], [0, 1.0, 0], [0, -2.0, 0]])
-    floor = obstacles([scene(floor=0.0)] * WORLDS)
+    floor = obstacles([scene(floor=0.0)] * NUM_ENVS)
     after, _ = run(particles(APART * [1, 1, R], vel), floor)
     speed = np.linalg.norm(vel, axis=1)
     time = np.minimum(speed / (MU * G), TIME)
@@ -155,9 +155,9 @@ def test_a_moving_arm_carries_what_lies_on_it(run: Any) -> None:
     """Friction is that of the relative motion: on a slow conveyor the particle is at rest."""
     belt = scene(a=[[0.0, -1.0, 0.0]], b=[[0.0, 1.0, 0.0]], radius=[0.2])
     start = np.array([[0.0, 0.0, 0.2 + R], [0.0, 0.3, 0.2 + R], [0.0, -0.3, 0.2 + R]])
-    after, contact = run(particles(start, [0, 0.2, 0]), obstacles([belt] * WORLDS, [0, 0.2, 0]))
+    after, contact = run(particles(start, [0, 0.2, 0]), obstacles([belt] * NUM_ENVS, [0, 0.2, 0]))
     np.testing.assert_allclose(after.pos_w[0], start + np.array([0, 0.2 * TIME, 0]), atol=3e-4)
-    assert np.all(contact.person)
+    assert np.all(contact.human)
 
 
 def momentum(state: Particles) -> np.ndarray:
@@ -166,13 +166,13 @@ def momentum(state: Particles) -> np.ndarray:
 
 def test_two_particles_collide(drift: Any) -> None:
     """Momentum stays, nothing bounces, energy falls."""
-    offset = np.linspace(0.0, 0.009, WORLDS)
-    pos = np.tile(np.arange(6.0)[:, None] * [0, 0, 1.0], (WORLDS, 1, 1))
+    offset = np.linspace(0.0, 0.009, NUM_ENVS)
+    pos = np.tile(np.arange(6.0)[:, None] * [0, 0, 1.0], (NUM_ENVS, 1, 1))
     vel = np.zeros_like(pos)
     pos[:, 0], vel[:, 0] = np.stack([-0.05 + 0 * offset, offset, 0 * offset], -1), [1.0, 0, 0]
     pos[:, 1], vel[:, 1] = [0.05, 0, 0], [-0.5, 0, 0]
     before = particles(pos, vel)
-    after, contact = drift(before, obstacles([scene()] * WORLDS))
+    after, contact = drift(before, obstacles([scene()] * NUM_ENVS))
     np.testing.assert_allclose(momentum(after), SLOWER * momentum(before), atol=2e-4)
     approach = np.asarray(after.vel_w[0, 1] - after.vel_w[0, 0])
     assert -0.01 < approach[0] < 0.06  # head on: they came at 1.5 m/s
@@ -187,10 +187,10 @@ def test_two_particles_collide(drift: Any) -> None:
 def test_a_crowd_keeps_its_momentum(drift: Any) -> None:
     rng = np.random.default_rng(0)
     ring = 0.03 * np.stack([np.cos(np.arange(6)), np.sin(np.arange(6)), 0 * np.arange(6)], -1)
-    pos = ring + rng.normal(0, 0.002, (WORLDS, 6, 3))
-    vel = -20 * ring + rng.normal(0, 0.1, (WORLDS, 6, 3))
+    pos = ring + rng.normal(0, 0.002, (NUM_ENVS, 6, 3))
+    vel = -20 * ring + rng.normal(0, 0.1, (NUM_ENVS, 6, 3))
     before = particles(pos, vel)
-    after, _ = drift(before, obstacles([scene()] * WORLDS))
+    after, _ = drift(before, obstacles([scene()] * NUM_ENVS))
     left = np.linalg.norm(after.vel_w, axis=-1).mean() / np.linalg.norm(vel, axis=-1).mean()
     assert left < 0.8 * SLOWER  # they did collide
     np.testing.assert_allclose(momentum(after), SLOWER * momentum(before), atol=3e-4)
@@ -204,12 +204,12 @@ def test_nothing_is_crossed_at_full_speed(run: Any, what: str) -> None:
         "box": scene(box=[[0.3, 0, 0.76]], half=[[1.0, 1.0, 0.04]]),
         "arm": scene(a=[[-1.0, 0, 0.76]], b=[[1.0, 0, 0.76]], radius=[0.04]),
     }[what]
-    vel = np.linspace(-6.0, -1.0, WORLDS)[:, None, None] * [0.0, 0, 1.0]
+    vel = np.linspace(-6.0, -1.0, NUM_ENVS)[:, None, None] * [0.0, 0, 1.0]
     after, contact = run(
-        particles(np.tile(APART, (WORLDS, 1, 1)), vel), obstacles([where] * WORLDS)
+        particles(np.tile(APART, (NUM_ENVS, 1, 1)), vel), obstacles([where] * NUM_ENVS)
     )
     assert (np.asarray(after.pos_w)[..., 2] > 0.8 + R - 1e-4).all()
-    touched = {"floor": contact.floor, "box": contact.furniture, "arm": contact.person}
+    touched = {"floor": contact.floor, "box": contact.furniture, "arm": contact.human}
     for name, who in touched.items():
         assert np.all(who) if name == what else not np.any(who)
 
@@ -218,10 +218,10 @@ def test_an_arm_that_sweeps_past_pushes_what_is_in_its_way(run: Any) -> None:
     """At 2 m/s, sideways: no particle is left behind it."""
     arm = scene(a=[[-0.05, -1, 1]], b=[[-0.05, 1, 1]])
     hit = np.array([[0.0, 0, 1.0], [0.0, 0.1, 1.0], [0.0, -0.2, 0.9]])
-    after, contact = run(particles(hit, [0, 0, 1.0]), obstacles([arm] * WORLDS, [2.0, 0, 0]))
+    after, contact = run(particles(hit, [0, 0, 1.0]), obstacles([arm] * NUM_ENVS, [2.0, 0, 0]))
     past = np.asarray(after.pos_w[0, :2, 0])
     assert (past > 0.05).all()
-    assert np.asarray(after.pos_w)[0, 2, 0] == 0.0 and not np.any(contact.person[:, 2])
+    assert np.asarray(after.pos_w)[0, 2, 0] == 0.0 and not np.any(contact.human[:, 2])
 
 
 def test_contacts_are_those_of_the_last_physics_step() -> None:
@@ -235,12 +235,12 @@ def test_contacts_are_those_of_the_last_physics_step() -> None:
     def touched(sunk: jax.Array) -> jax.Array:
         """Whom the belt touches, if it has sunk so far [m] at each of four moments."""
         down = -sunk[:, None, None] * jnp.array([0.0, 0.0, 1.0])
-        a_w, b_w = still.person.a_w[:4] + down, still.person.b_w[:4] + down
+        a_w, b_w = still.human.a_w[:4] + down, still.human.b_w[:4] + down
         motion = replace(
-            still, person=replace(still.person, a_w=a_w, b_w=b_w),
+            still, human=replace(still.human, a_w=a_w, b_w=b_w),
             vessel_pos_w=still.vessel_pos_w[:4], vessel_quat_w=still.vessel_quat_w[:4],
         )  # fmt: skip
-        return advance(spec, start, motion, DT)[1].person
+        return advance(spec, start, motion, DT)[1].human
 
     assert np.all(touched(jnp.zeros(4)))
     assert not np.any(touched(jnp.array([0.0, 0.0, 0.01, 0.02])))
@@ -250,7 +250,7 @@ def test_contacts_are_those_of_the_last_physics_step() -> None:
 def test_masked_particles_neither_move_nor_collide(run: Any) -> None:
     pos = np.array([[0.0, 0, 0.1], [0.0, 0, R], [0.3, 0, 0.1]])
     alive = np.array([True, False, False])
-    floor = obstacles([scene(floor=0.0)] * WORLDS)
+    floor = obstacles([scene(floor=0.0)] * NUM_ENVS)
     after, contact = run(particles(pos, alive=alive), floor)
     assert after.pos_w[0, 0, 2] == pytest.approx(R, abs=1e-4)  # fell through the masked one
     np.testing.assert_array_equal(after.pos_w[:, 1:], particles(pos).pos_w[:, 1:])
@@ -273,13 +273,13 @@ def test_removed_particles_are_masked() -> None:
 def test_a_particle_that_goes_bad_is_masked_and_counted(run: Any, field: str, bad: float) -> None:
     whole = particles(HIGH)
     broken = replace(whole, **{field: getattr(whole, field).at[2, 1, 0].set(bad)})
-    motion = obstacles([scene(floor=0.0)] * WORLDS)
+    motion = obstacles([scene(floor=0.0)] * NUM_ENVS)
     after, contact = run(broken, motion)
     expected, _ = run(whole, motion)
-    np.testing.assert_array_equal(contact.lost, np.eye(WORLDS, dtype=int)[2])
+    np.testing.assert_array_equal(contact.lost, np.eye(NUM_ENVS, dtype=int)[2])
     np.testing.assert_array_equal(after.alive[2], [True, False, True])
     assert np.isfinite(after.pos_w).all() and np.isfinite(after.vel_w).all()
-    others = np.ones((WORLDS, 3), bool)
+    others = np.ones((NUM_ENVS, 3), bool)
     others[2, 1] = False
     np.testing.assert_array_equal(
         np.asarray(after.pos_w)[others], np.asarray(expected.pos_w)[others]
@@ -290,24 +290,24 @@ def test_a_particle_that_goes_bad_is_masked_and_counted(run: Any, field: str, ba
 
 
 def test_a_vessel_that_goes_bad_loses_its_particles(run: Any) -> None:
-    motion = obstacles([scene(vessel=[0, 0, 0])] * WORLDS)
+    motion = obstacles([scene(vessel=[0, 0, 0])] * NUM_ENVS)
     motion = replace(motion, vessel_pos_w=motion.vessel_pos_w.at[5, 7].set(jnp.nan))
     after, contact = run(particles(APART), motion)
-    np.testing.assert_array_equal(contact.lost, 3 * np.eye(WORLDS, dtype=int)[5])
+    np.testing.assert_array_equal(contact.lost, 3 * np.eye(NUM_ENVS, dtype=int)[5])
     assert np.isfinite(after.pos_w).all() and np.isfinite(after.vel_w).all()
 
 
 def test_step_by_step_and_alone_it_is_the_same(run: Any) -> None:
-    """One world, moved by ``step``, where an arm comes from below; all in float32."""
+    """One environment, moved by ``step``, where an arm comes from below; all in float32."""
     arm = scene(floor=0.9, a=[[0, -1, 0.9]], b=[[0, 1, 0.9]])
-    state, motion = particles(APART), obstacles([arm] * WORLDS, [0, 0, 0.2])
+    state, motion = particles(APART), obstacles([arm] * NUM_ENVS, [0, 0, 0.2])
     together, contact = run(state, motion)
     one, motion = jax.tree.map(lambda x: x[4], (state, motion))
 
     def moment(i: jax.Array) -> Obstacles:
-        person = replace(motion.person, a_w=motion.person.a_w[i], b_w=motion.person.b_w[i])
+        human = replace(motion.human, a_w=motion.human.a_w[i], b_w=motion.human.b_w[i])
         pos, quat = motion.vessel_pos_w[i], motion.vessel_quat_w[i]
-        return replace(motion, vessel_pos_w=pos, vessel_quat_w=quat, person=person)
+        return replace(motion, vessel_pos_w=pos, vessel_quat_w=quat, human=human)
 
     @jax.jit
     def alone(state: Particles) -> tuple[Particles, Contact]:
@@ -318,8 +318,8 @@ def test_step_by_step_and_alone_it_is_the_same(run: Any) -> None:
 
     after, each = alone(one)
     np.testing.assert_allclose(after.pos_w, together.pos_w[4], atol=2e-6)
-    np.testing.assert_array_equal(each.person[-1], contact.person[4])
-    np.testing.assert_array_equal(each.person.any(0), [True, False, False])
+    np.testing.assert_array_equal(each.human[-1], contact.human[4])
+    np.testing.assert_array_equal(each.human.any(0), [True, False, False])
     np.testing.assert_array_equal(contact.floor[4], [False, True, True])
     assert after.pos_w.dtype == after.vel_w.dtype == jnp.float32
     assert each.lost.dtype == jnp.int32
@@ -328,16 +328,16 @@ def test_step_by_step_and_alone_it_is_the_same(run: Any) -> None:
 def test_the_same_again_bit_for_bit(run: Any) -> None:
     """A heap of particles, twice, and in any place of the batch."""
     rng = np.random.default_rng(1)
-    heap = np.repeat(0.01 * rng.normal(size=(1, 3, 3)) + [0, 0, 0.02], WORLDS, axis=0)
-    motion = obstacles([scene(floor=0.0)] * WORLDS)
+    heap = np.repeat(0.01 * rng.normal(size=(1, 3, 3)) + [0, 0, 0.02], NUM_ENVS, axis=0)
+    motion = obstacles([scene(floor=0.0)] * NUM_ENVS)
     first, second = run(particles(heap), motion), run(particles(heap), motion)
     for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
         np.testing.assert_array_equal(a, b)
-        np.testing.assert_array_equal(a, np.repeat(np.asarray(a)[:1], WORLDS, axis=0))
+        np.testing.assert_array_equal(a, np.repeat(np.asarray(a)[:1], NUM_ENVS, axis=0))
 
 
 def busy(spec: ParticleSpec) -> tuple[Particles, Obstacles]:
-    """Three worlds, two physics steps: a crowd, some of it masked, a tilted vessel, nine arms, a box, a floor."""
+    """Three environments, two physics steps: a crowd, some of it masked, a tilted vessel, nine arms, a box, a floor."""
     rng = np.random.default_rng(3)
 
     def moving(centre: Any, half: float, *shape: int) -> jax.Array:
@@ -352,7 +352,7 @@ def busy(spec: ParticleSpec) -> tuple[Particles, Obstacles]:
     obstacles = Obstacles(
         vessel_pos_w=moving([0, 0, 0], 0.01, 3),
         vessel_quat_w=moving(upright, 0.5, 4),
-        person=Capsules(
+        human=Capsules(
             moving(middle, 0.05, 9, 3), moving(middle, 0.05, 9, 3), jnp.full((3, 9), 0.01)
         ),
         furniture=Boxes(
@@ -380,13 +380,13 @@ def test_in_one_kernel_it_is_the_same(spec: ParticleSpec, monkeypatch: Any) -> N
     np.testing.assert_allclose(after.pos_w, expected.pos_w, atol=2e-6)
     np.testing.assert_allclose(after.vel_w, expected.vel_w, atol=2e-3)
     np.testing.assert_array_equal(after.alive, world[0].alive)
-    for name in ("vessel", "person", "furniture", "floor"):
+    for name in ("vessel", "human", "furniture", "floor"):
         np.testing.assert_array_equal(getattr(contact, name), getattr(touched, name))
         assert np.any(getattr(contact, name))  # so that all kinds of pushes are compared
 
 
 def test_a_number_of_particles_that_no_kernel_can_have_is_left_to_xla(run: Any) -> None:
-    world = particles(HIGH), obstacles([scene()] * WORLDS)
+    world = particles(HIGH), obstacles([scene()] * NUM_ENVS)
     for_gpu = run.trace(*world).lower(lowering_platforms=("cuda",)).as_text()
     assert "triton" not in for_gpu
 

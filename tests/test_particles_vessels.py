@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 from agym_jax.errors import UnknownNameError
-from agym_jax.offline import particle_fill as settle
 from agym_jax.matter.particles.solver import FOOD, WATER, Contact, Obstacles, Particles, advance
-from agym_jax.offline.particle_fill import MissingSettledError, fill, load_settled
 from agym_jax.matter.shapes import columns, no_boxes, no_capsules, rotation
+from agym_jax.offline import particle_fill as settle
+from agym_jax.offline.particle_fill import MissingFillError, fill, load_fill
 
-WORLDS, PERIOD = 4, 0.1
+NUM_ENVS, PERIOD = 4, 0.1
 PARTS = {"spoon": (FOOD, 0.01), "cup": (WATER, 0.01)}
 UPRIGHT = np.array([1.0, 0, 0, 0])
 Pose = tuple[np.ndarray, np.ndarray]
@@ -31,11 +31,11 @@ BOTH = pytest.mark.parametrize("name", ["spoon", "cup"])
 def motion(pos: np.ndarray, quat: np.ndarray) -> Obstacles:
     """A vessel on its way (..., T, 3), (..., T, 4), and nothing else."""
     ends = jnp.zeros((*pos.shape[:-1], 0, 3))
-    person = replace(no_capsules(), a_w=ends, b_w=ends)
+    human = replace(no_capsules(), a_w=ends, b_w=ends)
     return Obstacles(
         jnp.asarray(pos, jnp.float32),
         jnp.asarray(quat, jnp.float32),
-        person,
+        human,
         no_boxes(),
         jnp.float32(-5),
     )
@@ -43,7 +43,7 @@ def motion(pos: np.ndarray, quat: np.ndarray) -> Obstacles:
 
 @pytest.fixture(scope="module")
 def moves() -> dict[str, Any]:
-    """Control steps of 0.1 s of four worlds, by vessel."""
+    """Control steps of 0.1 s of four environments, by vessel."""
     axes = Obstacles(0, 0, replace(no_capsules(), a_w=0, b_w=0, radius=None), None, None)  # type: ignore
     return {
         name: jax.jit(jax.vmap(lambda p, m, s=spec, d=dt: advance(s, p, m, d), in_axes=(0, axes)))
@@ -60,7 +60,7 @@ def about(axis: Any, angle: Any) -> np.ndarray:
 def play(
     moves: dict[str, Any], name: str, path: Path_of, time: float
 ) -> tuple[Particles, list, np.ndarray]:
-    """Move a filled vessel along a path, one in each world.
+    """Move a filled vessel along a path, one in each environment.
 
     Args:
         moves: the fixture.
@@ -74,7 +74,7 @@ def play(
     spec, dt = PARTS[name]
     steps = round(PERIOD / dt)
     pos, quat = path(np.arange(round(time / PERIOD) * steps + 1) * dt)
-    state = jax.vmap(lambda p, q: fill(load_settled(name), p, q))(
+    state = jax.vmap(lambda p, q: fill(load_fill(name), p, q))(
         *(jnp.asarray(x[:, 0], jnp.float32) for x in (pos, quat))
     )
     contacts, out = [], []
@@ -95,7 +95,7 @@ def in_vessel(state: Particles, pos: np.ndarray, quat: np.ndarray) -> np.ndarray
 
 
 def straight(distance: Callable[[np.ndarray], np.ndarray], ways: Any) -> Path_of:
-    """Upright vessels on straight ways, one in each world."""
+    """Upright vessels on straight ways, one in each environment."""
 
     def path(t: np.ndarray) -> Pose:
         pos = distance(t)[:, None] * np.asarray(ways, float)[:, None] + [0.0, 0.0, 1.0]
@@ -127,7 +127,7 @@ def test_held_still_nothing_is_spilled(moves: Any, name: str, tilt: float, time:
     assert sum(int(c.lost.sum()) for c in contacts) == 0
     vessel = np.mean([c.vessel for c in contacts])
     assert 0.2 < vessel < 1.01
-    assert not np.any([[c.person.any(), c.furniture.any(), c.floor.any()] for c in contacts])
+    assert not np.any([[c.human.any(), c.furniture.any(), c.floor.any()] for c in contacts])
 
 
 def energy(state: Particles) -> tuple[np.ndarray, np.ndarray]:
@@ -233,8 +233,8 @@ def test_shaken_harder_than_any_arm_can_no_water_passes_the_wall() -> None:
         now = places[1:], turns[1:], both(places), both(jnp.asarray(quat, jnp.float32))
         return jax.lax.scan(one, state, now)[1]
 
-    state = fill(load_settled("cup"), places[0], jnp.asarray(quat[0], jnp.float32))
-    first = np.asarray(fill(load_settled("cup"), jnp.zeros(3), jnp.asarray(UPRIGHT)).pos_w)
+    state = fill(load_fill("cup"), places[0], jnp.asarray(quat[0], jnp.float32))
+    first = np.asarray(fill(load_fill("cup"), jnp.zeros(3), jnp.asarray(UPRIGHT)).pos_w)
     local = np.concatenate([first[None], shake(state)])
     assert np.isfinite(local).all()
     held = np.asarray(spec.vessel.holds(*columns(local)))
@@ -251,7 +251,7 @@ def test_shaken_harder_than_any_arm_can_no_water_passes_the_wall() -> None:
 
 @BOTH
 def test_banks(name: str) -> None:
-    spec, how, bank = PARTS[name][0], settle.FILLINGS[name], load_settled(name)
+    spec, how, bank = PARTS[name][0], settle.FILLINGS[name], load_fill(name)
     rows = len(bank.gravity_dir)
     assert rows == 64 and bank.pos.shape == (rows, spec.count, 3)
     np.testing.assert_allclose(bank.gravity_dir, settle.directions(rows, how.tilt), atol=1e-6)
@@ -261,15 +261,18 @@ def test_banks(name: str) -> None:
     assert gap.min() > 2 * spec.radius - 0.0013
     wall = np.asarray(spec.vessel.wall(*columns(bank.pos))[0]) - spec.vessel.thickness / 2
     assert wall.min() > spec.radius - 0.0005
-    with np.load(settle.settled_path(name), allow_pickle=False) as z:
+    with np.load(settle.fill_path(name), allow_pickle=False) as z:
         provenance = json.loads(str(z["provenance"]))
-    assert provenance["command"] == f"python -m agym_jax.offline.particle_fill {name} --seed 0 --rows 64"
-    assert settle.settled_path(name).stat().st_size < 100_000
+    assert (
+        provenance["command"]
+        == f"python -m agym_jax.offline.particle_fill {name} --seed 0 --rows 64"
+    )
+    assert settle.fill_path(name).stat().st_size < 100_000
 
 
 def test_water_settles_where_assistive_gyms_does() -> None:
     """Reference tasks.md section 5: mean height 0.0195, at most 0.036, within 0.028 of the axis."""
-    pos = load_settled("cup").pos[0]
+    pos = load_fill("cup").pos[0]
     assert pos[:, 2].mean() == pytest.approx(0.0195, abs=0.0025)
     assert pos[:, 2].max() < 0.036
     assert np.abs(pos[:, :2]).max() < 0.028
@@ -277,14 +280,14 @@ def test_water_settles_where_assistive_gyms_does() -> None:
 
 def test_food_settles_where_assistive_gyms_does() -> None:
     """Reference furniture.md section 7, above the spoon's inside: 0.0047 to 0.0117, mean 0.0082."""
-    pos = load_settled("spoon").pos[0]
+    pos = load_fill("spoon").pos[0]
     assert pos[:, 2].mean() == pytest.approx(0.0082, abs=0.002)
     assert pos[:, 2].max() < 0.012
     assert np.abs(pos[:, 0]).max() < 0.012 and np.abs(pos[:, 1]).max() < 0.018
 
 
 def test_fill_takes_the_nearest_tilt() -> None:
-    bank = load_settled("spoon")
+    bank = load_fill("spoon")
     for row in (0, 17, 63):
         quat = settle.tilted(bank.gravity_dir[row].astype(float))
         state = fill(bank, jnp.array([1.0, 2.0, 3.0]), jnp.asarray(quat, jnp.float32))
@@ -296,18 +299,18 @@ def test_fill_takes_the_nearest_tilt() -> None:
 
 def test_a_missing_or_damaged_bank_says_how_to_build_it(tmp_path: Path, monkeypatch: Any) -> None:
     with pytest.raises(UnknownNameError, match=r"Unknown vessel 'mug'.*cup, spoon"):
-        load_settled("mug")
-    load = load_settled.__wrapped__
-    monkeypatch.setattr(settle, "settled_path", lambda name: tmp_path / f"{name}.npz")
+        load_fill("mug")
+    load = load_fill.__wrapped__
+    monkeypatch.setattr(settle, "fill_path", lambda name: tmp_path / f"{name}.npz")
     with pytest.raises(
-        MissingSettledError, match=r"no bank .*python -m agym_jax.offline.particle_fill cup"
+        MissingFillError, match=r"no bank .*python -m agym_jax.offline.particle_fill cup"
     ):
         load("cup")
     (tmp_path / "cup.npz").write_bytes(b"PK not a bank")
-    with pytest.raises(MissingSettledError, match=r"cannot be read .*matter.settle cup"):
+    with pytest.raises(MissingFillError, match=r"cannot be read .*matter.settle cup"):
         load("cup")
     np.savez(tmp_path / "cup.npz", gravity_dir=np.zeros((3, 3)), pos=np.zeros((3, 8, 3)))
-    with pytest.raises(MissingSettledError, match="damaged"):
+    with pytest.raises(MissingFillError, match="damaged"):
         load("cup")
 
 
@@ -316,9 +319,9 @@ def test_a_bank_is_built_and_saved(tmp_path: Path, monkeypatch: Any, capsys: Any
     how = settle.FILLINGS["spoon"]
     coarse = replace(how.spec, substeps=2, sweeps=1)  # quick to compile
     monkeypatch.setitem(settle.FILLINGS, "spoon", replace(how, spec=coarse, tries=2))
-    monkeypatch.setattr(settle, "settled_path", lambda name: tmp_path / f"{name}.npz")
+    monkeypatch.setattr(settle, "fill_path", lambda name: tmp_path / f"{name}.npz")
     assert settle.main(["spoon", "--rows", "2", "--seed", "3"]) == 0
-    bank = load_settled.__wrapped__("spoon")
+    bank = load_fill.__wrapped__("spoon")
     assert bank.pos.shape == (2, 8, 3) and np.isfinite(bank.pos).all()
     assert "deepest_overlap" in capsys.readouterr().out
     assert settle.main(["mug"]) == 1
@@ -326,4 +329,4 @@ def test_a_bank_is_built_and_saved(tmp_path: Path, monkeypatch: Any, capsys: Any
 
 
 def test_contact_is_a_tree_of_masks() -> None:
-    assert set(Contact.__dataclass_fields__) == {"vessel", "person", "furniture", "floor", "lost"}
+    assert set(Contact.__dataclass_fields__) == {"vessel", "human", "furniture", "floor", "lost"}

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from agym_jax.errors import UnknownNameError
-from agym_jax.human import anthropometry
-from agym_jax.human import body
-from agym_jax.human import pose as person_pose
-from agym_jax.human.population import People, draw_person
+from agym_jax.human import anthropometry, body
+from agym_jax.human import pose as human_pose
 from agym_jax.human.model import build
+from agym_jax.human.population import Population, sample_human
 from agym_jax.human.posture import load_postures
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import build_scene, compose
@@ -99,7 +98,7 @@ def test_person_of_hinges_has_the_reference_kinematics():
 def test_scratch_pose_is_the_reference_table(who: str):
     d = anthropometry.dims(SEX[who])
     root = np.array([0, 0.03, anthropometry.sitting_height(d, SEX[who], 1.0, 1.0)])
-    rows = body.fields(d, TASK.person.pose, (), 1.0, root, xp=np)
+    rows = body.fields(d, TASK.human.pose, (), 1.0, root, xp=np)
     pos = {n: rows.body_pos[i] for n, i in ROW.items()}
     pos["mouth"] = pos["head"] + [0, d.mouth_y, d.mouth_z]
     for link, expected in SCRATCH[who].items():
@@ -111,13 +110,13 @@ def test_scratch_pose_is_the_reference_table(who: str):
 def test_compiled_scene_seats_the_person_as_the_reference_does(who: str):
     model = compose(TASK, ROBOT, sex=SEX[who], visual=True)
     data = mujoco.MjData(model)
-    for name, angle in TASK.person.pose.items():
-        if name in TASK.person.joints:
-            data.qpos[model.joint(f"person/{name}").qposadr] = angle
+    for name, angle in TASK.human.pose.items():
+        if name in TASK.human.joints:
+            data.qpos[model.joint(f"human/{name}").qposadr] = angle
     mujoco.mj_kinematics(model, data)
     for link, expected in SCRATCH[who].items():
         if link != "mouth":
-            found = data.body(f"person/{link}").xpos
+            found = data.body(f"human/{link}").xpos
             np.testing.assert_allclose(found, expected, atol=1e-4, err_msg=f"{who} {link}")
 
 
@@ -125,9 +124,9 @@ def _seated(
     sex: float, stature: float = 1.0, girth: float = 1.0, scale: float = 1.0
 ) -> body.BodyFields:
     """Rows of a person who sits as ScratchItch wants, welded but for the right arm."""
-    d, pose = anthropometry.dims(sex, stature, girth), TASK.person
-    sits = person_pose.typical(pose, sex, stature, girth)
-    return person_pose.rows(pose, sits, d, pose.joints, scale, np)
+    d, pose = anthropometry.dims(sex, stature, girth), TASK.human
+    sits = human_pose.typical(pose, sex, stature, girth)
+    return human_pose.rows(pose, sits, d, pose.joints, scale, np)
 
 
 @pytest.mark.parametrize(("who", "mass"), [("male", 78.4), ("female", 62.5)])
@@ -182,7 +181,7 @@ def test_unknown_joint_is_named_with_the_nearest():
 def test_limits_clamp_the_welded_pose():
     # humans.md section 5: elbow -90 degrees becomes -64 at scale 0.5; hips, unscaled, stay at -90;
     # section 2: the left shoulder, at -5 because it cannot be 0, goes to -2.5
-    quat = body.fields(anthropometry.dims(0.0), TASK.person.pose, (), 0.5, xp=np).body_quat
+    quat = body.fields(anthropometry.dims(0.0), TASK.human.pose, (), 0.5, xp=np).body_quat
     for parent, child, axis, degrees in (
         ("left_upper_arm", "left_forearm", 0, -64),
         ("hips", "right_thigh", 0, -90),
@@ -230,14 +229,14 @@ def _somebody(seed: int) -> tuple[float, float, float, float]:
 @pytest.mark.parametrize("seed", range(3))
 def test_jax_numpy_and_compiled_model_are_the_same_person(seed: int, task):
     sex, stature, girth, scale = _somebody(seed)
-    spec, moving = task.person, task.person.moving(False)
+    spec, moving = task.human, task.human.moving(False)
     d, pose = (
         anthropometry.dims(sex, stature, girth),
-        person_pose.typical(spec, sex, stature, girth, scale),
+        human_pose.typical(spec, sex, stature, girth, scale),
     )
-    rows = person_pose.rows(spec, pose, d, moving, scale, np)
+    rows = human_pose.rows(spec, pose, d, moving, scale, np)
     args = [jnp.float32(x) for x in (sex, stature, girth)]
-    in_jax = person_pose.rows(
+    in_jax = human_pose.rows(
         spec, jax.tree.map(jnp.asarray, pose), anthropometry.dims(*args), moving,
         jnp.float32(scale), jnp,
     )  # fmt: skip
@@ -245,10 +244,10 @@ def test_jax_numpy_and_compiled_model_are_the_same_person(seed: int, task):
         np.testing.assert_allclose(b, a, atol=2e-6, rtol=2e-6, err_msg=name)  # float32
     model = compose(task, ROBOT, False, sex, stature, girth, scale)
     index = build_scene(task, ROBOT).index
-    where = {"body": index.person_body, "geom": index.person_geom, "jnt": index.person_joint}
+    where = {"body": index.human_body, "geom": index.human_geom, "jnt": index.human_joint}
     for name, a in zip(rows._fields, rows, strict=True):
         found = getattr(model, name)[where[name.split("_")[0]]]
-        mine = a if name.startswith("jnt") else a[index.person_row]
+        mine = a if name.startswith("jnt") else a[index.human_row]
         if name == "body_quat":
             mine = mine / np.linalg.norm(mine, axis=-1, keepdims=True)
         if name == "geom_size":  # MuJoCo leaves what a sphere does not use at 0
@@ -256,7 +255,7 @@ def test_jax_numpy_and_compiled_model_are_the_same_person(seed: int, task):
         np.testing.assert_allclose(found, mine, atol=1e-7, err_msg=name)
     # the inertias are written without their frames, so those have to be the links' own
     np.testing.assert_allclose(
-        model.body_iquat[index.person_body], [[1, 0, 0, 0]] * len(index.person_body)
+        model.body_iquat[index.human_body], [[1, 0, 0, 0]] * len(index.human_body)
     )
 
 
@@ -273,9 +272,9 @@ def test_thighs_stay_on_the_seat_whatever_the_size(seed: int):
 @pytest.mark.parametrize("who", SEX)
 def test_people_in_bed_lie_on_its_mattress(who: str):
     # tasks.md sections 3, 7: heads towards +y, settled at about z 0.875 (furniture.md section 3)
-    spec = TASKS["BedBathing"].person
-    d, pose = anthropometry.dims(SEX[who]), person_pose.typical(spec, SEX[who])
-    rows = person_pose.rows(spec, pose, d, (), 1.0, np)
+    spec = TASKS["BedBathing"].human
+    d, pose = anthropometry.dims(SEX[who]), human_pose.typical(spec, SEX[who])
+    rows = human_pose.rows(spec, pose, d, (), 1.0, np)
     chest, head, foot = (rows.body_pos[ROW[n]] for n in ("chest", "head", "right_foot"))
     np.testing.assert_allclose(chest, (-0.15, 0.2, 0.875), atol=0.06)
     assert head[1] > chest[1] + 0.2 and foot[1] < chest[1] - 0.9
@@ -284,25 +283,25 @@ def test_people_in_bed_lie_on_its_mattress(who: str):
 
 
 def test_start_angles_keep_to_the_persons_limits():
-    spec = TASKS["ScratchItch"].person
-    pose = person_pose.typical(spec, 0.0)
-    free = person_pose.start_angles(pose, spec.joints, 1.0, np)
-    stiff = person_pose.start_angles(pose, spec.joints, 0.5, np)
+    spec = TASKS["ScratchItch"].human
+    pose = human_pose.typical(spec, 0.0)
+    free = human_pose.start_angles(pose, spec.joints, 1.0, np)
+    stiff = human_pose.start_angles(pose, spec.joints, 0.5, np)
     # shoulder 30, elbow -90 degrees; narrowed by half the elbow stops at -64
     expected = np.zeros(10)
     expected[[3, 6]] = np.deg2rad((30, -90))
     np.testing.assert_allclose(free, expected, atol=1e-6)
     expected[6] = np.deg2rad(-64)
     np.testing.assert_allclose(stiff, expected, atol=1e-6)
-    assert person_pose.start_angles(pose, (), 1.0, np).shape == (0,)
+    assert human_pose.start_angles(pose, (), 1.0, np).shape == (0,)
 
 
 def test_drawn_heads_turn_within_their_range():
     # tasks.md section 8: head as Feeding, angles 21 to 23 uniform within 30 degrees
-    spec = TASKS["Reaching"].person
-    people = jax.vmap(lambda k: draw_person(k, People(), 4, 0.0, ("none",)))
+    spec = TASKS["Reaching"].human
+    humans = jax.vmap(lambda k: sample_human(k, Population(), 4, 0.0, ("none",)))
     keys = jax.random.split(jax.random.PRNGKey(0), 1000)
-    poses = jax.vmap(lambda k, p: person_pose.draw_pose(k, spec, p))(keys, people(keys))
+    poses = jax.vmap(lambda k, p: human_pose.sample_pose(k, spec, p))(keys, humans(keys))
     angles = np.rad2deg(np.asarray(poses.angles))
     order = list(body.JOINTS)
     head = angles[:, [order.index(j) for j in ("head_x", "head_y", "head_z")]]
@@ -313,12 +312,12 @@ def test_drawn_heads_turn_within_their_range():
 
 
 def test_drawn_people_in_bed_lie_as_somebody_of_their_size_did():
-    spec = TASKS["BedBathing"].person
+    spec = TASKS["BedBathing"].human
     bank = load_postures(spec.postures)
     keys = jax.random.split(jax.random.PRNGKey(0), 64)
-    people = jax.vmap(lambda k: draw_person(k, People(), 0, 0.0, ("none",)))(keys)
-    poses = jax.vmap(lambda k, p: person_pose.draw_pose(k, spec, p))(keys, people)
+    humans = jax.vmap(lambda k: sample_human(k, Population(), 0, 0.0, ("none",)))(keys)
+    poses = jax.vmap(lambda k, p: human_pose.sample_pose(k, spec, p))(keys, humans)
     rows = [np.abs(bank.angles - a).max(1).argmin() for a in np.asarray(poses.angles)]
     np.testing.assert_array_equal(bank.angles[rows], poses.angles)
     assert len(set(rows)) > 8  # of several who did
-    assert np.abs(bank.sex[rows] - people.sex).max() < 0.3
+    assert np.abs(bank.sex[rows] - humans.sex).max() < 0.3

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agym_jax.errors import UnknownNameError
-from agym_jax.human.population import IMPAIRMENTS, People, Person, draw_person
+from agym_jax.human.population import IMPAIRMENTS, Human, Population, sample_human
 
 N = 4096
 AMPLITUDE = np.deg2rad(10.0)
@@ -17,25 +17,25 @@ AMPLITUDE = np.deg2rad(10.0)
 HALF, QUARTER = 4 * np.sqrt(0.25 / N), 4 * np.sqrt(0.1875 / N)
 
 
-def crowd(people: People, seed: int = 0, impairments: tuple[str, ...] = IMPAIRMENTS) -> Person:
+def crowd(humans: Population, seed: int = 0, impairments: tuple[str, ...] = IMPAIRMENTS) -> Human:
     keys = jax.random.split(jax.random.PRNGKey(seed), N)
     return jax.device_get(
-        jax.vmap(lambda k: draw_person(k, people, 10, AMPLITUDE, impairments))(keys)
+        jax.vmap(lambda k: sample_human(k, humans, 10, AMPLITUDE, impairments))(keys)
     )
 
 
 @pytest.fixture(scope="module")
-def everyone() -> Person:
-    return crowd(People())
+def everyone() -> Human:
+    return crowd(Population())
 
 
-def test_half_are_women_of_the_median_size(everyone: Person):
+def test_half_are_women_of_the_median_size(everyone: Human):
     assert set(np.unique(everyone.sex)) == {0.0, 1.0}
     assert abs(everyone.sex.mean() - 0.5) < HALF
     assert (everyone.stature == 1.0).all() and (everyone.girth == 1.0).all()
 
 
-def test_each_impairment_has_a_quarter(everyone: Person):
+def test_each_impairment_has_a_quarter(everyone: Human):
     trembles = (everyone.tremor != 0).any(-1)
     kinds = [everyone.limit_scale < 1, everyone.strength < 1, trembles]
     for kind in kinds:
@@ -44,7 +44,7 @@ def test_each_impairment_has_a_quarter(everyone: Person):
     assert abs((np.sum(kinds, axis=0) == 0).mean() - 0.25) < QUARTER
 
 
-def test_severity_is_uniform_over_the_references_ranges(everyone: Person):
+def test_severity_is_uniform_over_the_references_ranges(everyone: Human):
     for values, low, high in (
         (everyone.limit_scale[everyone.limit_scale < 1], 0.5, 1.0),
         (everyone.strength[everyone.strength < 1], 0.25, 1.0),
@@ -58,24 +58,24 @@ def test_severity_is_uniform_over_the_references_ranges(everyone: Person):
         assert abs(share.var() - 1 / 12) < 4 * np.sqrt(1 / 180 / len(share))
 
 
-def test_joints_tremble_independently(everyone: Person):
+def test_joints_tremble_independently(everyone: Human):
     tremor = everyone.tremor[(everyone.tremor != 0).any(-1)]
     off_diagonal = np.corrcoef(tremor.T)[np.triu_indices(10, 1)]
     assert np.abs(off_diagonal).max() < 5 / np.sqrt(len(tremor))
 
 
-def test_same_key_same_person_other_key_another(everyone: Person):
-    again, other = crowd(People()), crowd(People(), seed=1)
+def test_same_key_same_person_other_key_another(everyone: Human):
+    again, other = crowd(Population()), crowd(Population(), seed=1)
     jax.tree.map(np.testing.assert_array_equal, everyone, again)
     assert not np.array_equal(everyone.sex, other.sex)
     assert not np.array_equal(everyone.strength, other.strength)
 
 
 def test_continuous_sizes_fill_their_ranges():
-    people = People(sizes="continuous", stature=(0.95, 1.05))
-    p = crowd(people)
+    humans = Population(sizes="continuous", stature=(0.95, 1.05))
+    p = crowd(humans)
     for values, (low, high) in (
-        (p.sex, people.blend), (p.stature, (0.95, 1.05)), (p.girth, people.girth)
+        (p.sex, humans.blend), (p.stature, (0.95, 1.05)), (p.girth, humans.girth)
     ):  # fmt: skip
         assert low <= values.min() < low + 0.02 * (high - low)
         assert high >= values.max() > high - 0.02 * (high - low)
@@ -83,16 +83,16 @@ def test_continuous_sizes_fill_their_ranges():
 
 
 def test_population_may_narrow_the_tasks_impairments():
-    p = crowd(People(impairments=("weakness",)))
+    p = crowd(Population(impairments=("weakness",)))
     assert (p.strength < 1).all() and (p.limit_scale == 1).all() and (p.tremor == 0).all()
     # humans.md section 6, no_tremor: thirds
-    p = crowd(People(), impairments=("none", "limits", "weakness"))
+    p = crowd(Population(), impairments=("none", "limits", "weakness"))
     assert (p.tremor == 0).all()
     assert abs((p.strength < 1).mean() - 1 / 3) < 4 * np.sqrt(2 / 9 / N)
 
 
 def test_unknown_names_are_refused_with_the_nearest():
     with pytest.raises(UnknownNameError, match=r"impairment 'tremors'.*Did you mean 'tremor'"):
-        People(impairments=("tremors",))
+        Population(impairments=("tremors",))
     with pytest.raises(UnknownNameError, match=r"'contiguous'.*Did you mean 'continuous'"):
-        People(sizes="contiguous")
+        Population(sizes="contiguous")

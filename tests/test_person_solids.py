@@ -24,21 +24,21 @@ def posed(request: pytest.FixtureRequest):
     model = compose(TASKS["Reaching"], ROBOTS["Jaco"], sex=request.param, solid=True)
     data = mujoco.MjData(model)
     for joint, angle in (("neck_x", 0.2), ("head_y", -0.3), ("head_z", 0.5)):
-        data.qpos[model.joint(f"person/{joint}").qposadr[0]] = angle
+        data.qpos[model.joint(f"human/{joint}").qposadr[0]] = angle
     mujoco.mj_forward(model, data)
     return model, data, anthropometry.dims(request.param)
 
 
 def test_capsules_are_the_models(posed):
     model, data, d = posed
-    pos = {x: jnp.asarray(data.body(f"person/{x}").xpos) for x in NAMES}
-    rot = {x: jnp.asarray(data.body(f"person/{x}").xmat.reshape(3, 3)) for x in NAMES}
+    pos = {x: jnp.asarray(data.body(f"human/{x}").xpos) for x in NAMES}
+    rot = {x: jnp.asarray(data.body(f"human/{x}").xmat.reshape(3, 3)) for x in NAMES}
     a, b, radius = link_capsules(d, NAMES, pos, rot)
     for i, name in enumerate(NAMES):
-        geom = model.geom(f"person/{name}")
+        geom = model.geom(f"human/{name}")
         half = geom.size[1] if geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0
-        axis = data.geom(f"person/{name}").xmat.reshape(3, 3)[:, 2] * half
-        middle = data.geom(f"person/{name}").xpos
+        axis = data.geom(f"human/{name}").xmat.reshape(3, 3)[:, 2] * half
+        middle = data.geom(f"human/{name}").xpos
         ends = {tuple(np.round(middle + s * axis, 4)) for s in (-1, 1)}
         found = {tuple(np.round(np.asarray(x, float), 4)) for x in (a[i], b[i])}
         np.testing.assert_allclose(sorted(found), sorted(ends), atol=2e-4, err_msg=name)
@@ -47,8 +47,8 @@ def test_capsules_are_the_models(posed):
 
 def test_a_motion_has_a_leading_axis(posed):
     _, data, d = posed
-    pos = {x: jnp.asarray(data.body(f"person/{x}").xpos) for x in NAMES}
-    rot = {x: jnp.asarray(data.body(f"person/{x}").xmat.reshape(3, 3)) for x in NAMES}
+    pos = {x: jnp.asarray(data.body(f"human/{x}").xpos) for x in NAMES}
+    rot = {x: jnp.asarray(data.body(f"human/{x}").xmat.reshape(3, 3)) for x in NAMES}
     shift = jnp.arange(4.0)[:, None] * jnp.array([0.0, 0.0, 0.1])
     moving = {k: v + shift for k, v in pos.items()}
     turned = {k: jnp.tile(v, (4, 1, 1)) for k, v in rot.items()}

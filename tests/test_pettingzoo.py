@@ -39,11 +39,11 @@ def test_pettingzoos_own_test_passes(env):
 
 def test_agents_and_spaces(env):
     # tasks.md section 1.2: robot 30 and 7, person 34 and 10
-    assert env.possible_agents == ["robot", "person"]
+    assert env.possible_agents == ["robot", "human"]
     spaces = {
         a: (env.observation_space(a).shape, env.action_space(a).shape) for a in env.possible_agents
     }
-    assert spaces == {"robot": ((30,), (7,)), "person": ((34,), (10,))}
+    assert spaces == {"robot": ((30,), (7,)), "human": ((34,), (10,))}
     assert env.observation_space("robot") is env.observation_space("robot")
     assert env.metadata["name"] == NAME and env.metadata["is_parallelizable"]
 
@@ -53,17 +53,17 @@ def test_it_is_the_gymnasium_environment_seen_by_two(env):
     single = gymnasium.make(NAME).unwrapped
     both, _ = single.reset(seed=7)
     obs, infos = env.reset(seed=7)
-    assert np.array_equal(np.concatenate([obs["robot"], obs["person"]]), both)
+    assert np.array_equal(np.concatenate([obs["robot"], obs["human"]]), both)
     assert np.array_equal(env.state(), both) and infos.keys() == obs.keys()
     rng = np.random.default_rng(0)
     for _ in range(5):
         actions = {a: rng.uniform(-1, 1, env.action_space(a).shape) for a in env.agents}
         both, reward, *_, info = single.step(np.concatenate(list(actions.values())))
         obs, rewards, terminations, truncations, infos = env.step(actions)
-        assert np.array_equal(np.concatenate([obs["robot"], obs["person"]]), both)
-        assert rewards == {"robot": reward, "person": reward} and infos["person"] == info
+        assert np.array_equal(np.concatenate([obs["robot"], obs["human"]]), both)
+        assert rewards == {"robot": reward, "human": reward} and infos["human"] == info
         assert not any((*terminations.values(), *truncations.values()))
-    assert infos["robot"] is not infos["person"]
+    assert infos["robot"] is not infos["human"]
 
 
 @pytest.mark.jit
@@ -76,7 +76,7 @@ def test_an_episode_is_cut_for_both_and_then_needs_a_reset(env):
     with pytest.raises(gymnasium.error.ResetNeeded, match=r"call reset\(\)"):
         env.step(still(env))
     env.reset()
-    assert env.agents == ["robot", "person"]
+    assert env.agents == ["robot", "human"]
 
 
 @pytest.mark.jit
@@ -94,9 +94,9 @@ def test_wrong_actions_are_refused_by_name(env):
     with pytest.raises(ActionError, match="got those of: robot, person, dog"):
         env.step({**actions, "dog": actions["robot"]})
     with pytest.raises(ActionError, match=rf"The person of {NAME} takes .*\(10,\), got \(7,\)"):
-        env.step({**actions, "person": actions["robot"]})
+        env.step({**actions, "human": actions["robot"]})
     with pytest.raises(ActionError, match="finite"):
-        env.step({**actions, "person": np.full(10, np.nan)})
+        env.step({**actions, "human": np.full(10, np.nan)})
     with pytest.raises(ActionError, match="nobody"):
         env.step({})
 

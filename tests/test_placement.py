@@ -69,7 +69,9 @@ def test_a_bank_that_was_built_again_is_read_again(own: Path):
 
 def test_a_folder_that_cannot_be_written_is_told_before_the_search(own: Path, capsys, monkeypatch):
     own.touch()
-    monkeypatch.setattr("agym_jax.offline.base_search.search", lambda *_: pytest.fail("searched in vain"))
+    monkeypatch.setattr(
+        "agym_jax.offline.base_search.search", lambda *_: pytest.fail("searched in vain")
+    )
     assert placement.main(["build", "ReachingJaco-v0"]) == 1
     said = capsys.readouterr().err
     assert f"Cannot write banks into {own}" in said and "AGYM_JAX_PLACEMENTS" in said

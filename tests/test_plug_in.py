@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 
 import agym_jax
-from agym_jax.offline import kinematics
 from agym_jax.data import banks as placement
 from agym_jax.env import AssistiveEnv
 from agym_jax.errors import (
@@ -28,6 +27,7 @@ from agym_jax.errors import (
     SpecError,
     UnknownNameError,
 )
+from agym_jax.offline import kinematics
 from agym_jax.registry import parse, register_robot, register_task
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import build_scene, compose
@@ -137,9 +137,9 @@ def test_the_scene_has_the_toys_joints_motors_and_contacts(toy: ModuleType):
     assert model.nq == model.nv == model.nu == len(joints) == 7
     assert [model.actuator(i).name for i in range(model.nu)] == list(joints)
     pairs = {model.sensor(i).name for i in range(model.nsensor)}
-    assert "robot_person|robot/hand_collision|person/head" in pairs
+    assert "robot_human|robot/hand_collision|human/head" in pairs
     active = build_scene(toy.WAVING, toy.TOYBOT, active=True)
-    assert active.moving == toy.WAVING.person.joints and active.model.nq == 7 + 4
+    assert active.moving == toy.WAVING.human.joints and active.model.nq == 7 + 4
 
 
 def test_c_mujoco_simulates_the_toy(toy: ModuleType):
@@ -221,8 +221,8 @@ def test_the_bank_puts_the_hand_where_the_task_starts(toy: ModuleType, bank: Pat
 @pytest.mark.parametrize("human", ["", "Human"])
 def test_reset_and_step_have_the_declared_sizes(bank: Path, human: str):
     env = agym_jax.make(f"WavingToybot{human}-v0", impl="jax")
-    assert env.action_sizes == ({"robot": 7, "person": 4} if human else {"robot": 7})
-    assert env.observation_sizes == ({"robot": 10, "person": 8} if human else {"robot": 10})
+    assert env.action_sizes == ({"robot": 7, "human": 4} if human else {"robot": 7})
+    assert env.observation_sizes == ({"robot": 10, "human": 8} if human else {"robot": 10})
     first = jax.eval_shape(env.reset, jax.random.PRNGKey(0))
     action = jax.ShapeDtypeStruct((env.action_size,), jnp.float32)
     second = jax.eval_shape(env.step, first, action)

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.human import anthropometry
+from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.robots import ROBOTS
-from agym_jax.sim.scene import build_scene
 from agym_jax.sense import Sensed, ToolSensed
+from agym_jax.sim.scene import build_scene
 from agym_jax.tasks.reaching import REACHING as TASK
 
 HEAD, CHEST, TORSO = (
@@ -27,7 +27,7 @@ MOUTH = {0.0: np.array([0, -0.11, 0.03]), 1.0: np.array([0, -0.10, 0.03])}  # in
 HAND = {
     "pos_w": np.array([-0.15, -0.4, 1.0]), "quat_w": np.array([0.5, 0.5, 0.5, 0.5]),
     "vel_w": np.zeros(3), "gap": 0.3, "touch_force": np.zeros(0), "touch_pos_w": np.zeros((0, 3)),
-    "touch_working": np.zeros(0), "on_person": 0.0, "force": 0.0,
+    "touch_working": np.zeros(0), "on_human": 0.0, "force": 0.0,
 }  # fmt: skip
 
 
@@ -47,8 +47,8 @@ def sensed(
         motion=None,
         dims=arrays(anthropometry.dims(sex)),
         **arrays({
-            "arm_angles": np.arange(7.0), "torso_pos_w": TORSO, "person_angles": np.arange(4.0),
-            "robot_on_person": pushes,
+            "arm_angles": np.arange(7.0), "torso_pos_w": TORSO, "human_angles": np.arange(4.0),
+            "robot_on_human": pushes,
         }),
     )  # fmt: skip
 
@@ -110,7 +110,7 @@ def test_reward_is_the_tutorials():
 
 def test_observations_are_differences_along_world_axes():
     seen = sensed(pushes=2.5)
-    robot, person = TASK.observe(TASK.init(jax.random.PRNGKey(0), seen), seen)
+    robot, human = TASK.observe(TASK.init(jax.random.PRNGKey(0), seen), seen)
     hand = HAND["pos_w"]
     for found, expected in (
         (robot.hand_pos_torso, hand - TORSO),
@@ -118,12 +118,12 @@ def test_observations_are_differences_along_world_axes():
         (robot.arm_angles, np.arange(7)),
         (robot.hand_quat_w, HAND["quat_w"]),
         (robot.head_quat_w, TURN),
-        (person.hand_pos_person, hand - CHEST),
-        (person.hand_pos_mouth, hand - mouth()),
-        (person.person_angles, np.arange(4)),
-        (person.hand_quat_w, HAND["quat_w"]),
-        (person.head_quat_w, TURN),
-        (person.force_on_person, 2.5),
+        (human.hand_pos_human, hand - CHEST),
+        (human.hand_pos_mouth, hand - mouth()),
+        (human.human_angles, np.arange(4)),
+        (human.hand_quat_w, HAND["quat_w"]),
+        (human.head_quat_w, TURN),
+        (human.force_on_human, 2.5),
     ):
         np.testing.assert_allclose(found, expected, atol=1e-6)
 
@@ -152,10 +152,10 @@ def test_bare_hand_takes_the_tools_place(robot):
     assert scene.model.site(hand.tip).name == f"robot/{arm.end_effector}"
     assert [scene.model.joint(j).name for j in hand.joints] == [f"robot/{j}" for j in arm.joints]
     assert [scene.model.geom(g).name for g in hand.geoms] == [f"robot/{arm.links[0]}"]
-    assert len(hand.on_person) == len(hand.on_seat) == 0 < len(scene.index.robot_person)
+    assert len(hand.on_human) == len(hand.on_seat) == 0 < len(scene.index.robot_human)
 
 
 def test_facts_of_the_reference():
     # tasks.md sections 1.4, 8: no gravity on the person; head as Feeding, frozen unless active
     assert TASK.gravity == 0.0 and TASK.tool is None and TASK.goals == (("mouth",),)
-    assert TASK.person.still == "frozen" and len(TASK.person.joints) == 4
+    assert TASK.human.passive_mode == "frozen" and len(TASK.human.joints) == 4

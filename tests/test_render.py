@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from agym_jax.rendering import render
 from agym_jax.errors import AgymError
+from agym_jax.rendering import render
 from agym_jax.rendering.render import Marker, Renderer
 
 WIDTH, HEIGHT = 120, 90

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.human import anthropometry
+from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed, ToolSensed
 from agym_jax.spec import Preferences
@@ -30,7 +30,7 @@ LINKS = {
 AIR = {
     "pos_w": np.array([-0.5, 0.0, 0.8]), "quat_w": np.array([1.0, 0, 0, 0]), "vel_w": np.zeros(3),
     "gap": 0.2, "touch_force": np.zeros(3), "touch_pos_w": np.zeros((3, 3)),
-    "touch_working": np.array([1.0, 1.0, 0.0]), "on_person": 0.0, "force": 0.0,
+    "touch_working": np.array([1.0, 1.0, 0.0]), "on_human": 0.0, "force": 0.0,
 }  # fmt: skip
 
 
@@ -50,7 +50,7 @@ def sensed(
     rot = {k: np.eye(3) for k in LINKS} | {"right_forearm": TURN}
     rest = {
         "arm_angles": np.zeros(7), "torso_pos_w": np.array([-0.35, -0.3, 0.5]),
-        "person_angles": np.zeros(10), "robot_on_person": 0.0,
+        "human_angles": np.zeros(10), "robot_on_human": 0.0,
     }  # fmt: skip
     return Sensed(
         tools=(ToolSensed(**changed(AIR, tool or {})),),
@@ -80,7 +80,7 @@ def touching(
     """The tool presses near the target, and nowhere else."""
     forces, places = np.zeros(3), np.zeros((3, 3))
     forces[1], places[1] = force, TARGET_W + np.asarray(offset)
-    touch = {"touch_force": forces, "touch_pos_w": places, "on_person": force, "force": force}
+    touch = {"touch_force": forces, "touch_pos_w": places, "on_human": force, "force": force}
     return sensed(touch | (tool or {}), **changes)
 
 
@@ -186,8 +186,8 @@ def test_success_at_25_scratches():
 def test_reward_is_assistive_gyms():
     """R = -|target - tip| - 0.01 |a|^2 + 0.01 F_target + 2 r_scratch + r_pref."""
     tip = TARGET_W + np.array([0.03, 0.0, 0.04])  # 50 mm away
-    tool = {"pos_w": tip, "vel_w": np.array([0.0, 0.3, 0.4]), "on_person": 8.0}
-    seen = touching(6.0, tool=tool, robot_on_person=5.0)
+    tool = {"pos_w": tip, "vel_w": np.array([0.0, 0.3, 0.4]), "on_human": 8.0}
+    seen = touching(6.0, tool=tool, robot_on_human=5.0)
     action = jnp.array([0.5, -0.5, 0.5, -0.5, 0.0, 0.0, 1.0])
     state, events = TASK.advance(itch(), seen)
     terms = TASK.rewards(state, events, seen, action)
@@ -221,32 +221,32 @@ def test_observations_are_differences_along_world_axes():
     tip, torso = rng.normal(size=(2, 3))
 
     def seen(by: np.ndarray) -> Sensed:
-        tool = {"pos_w": tip + by, "force": 3.0, "on_person": 2.0}
+        tool = {"pos_w": tip + by, "force": 3.0, "on_human": 2.0}
         moved = {k: v + by for k, v in links.items()}
-        return sensed(tool, moved, torso_pos_w=torso + by, robot_on_person=0.5)
+        return sensed(tool, moved, torso_pos_w=torso + by, robot_on_human=0.5)
 
-    def looks(by: np.ndarray) -> Any:
+    def visuals(by: np.ndarray) -> Any:
         state, _ = TASK.advance(itch(), seen(by))
         state = dataclasses.replace(state, force_at_target=jnp.float32(1.5))
         return state, TASK.observe(state, seen(by))
 
-    state, (robot, person) = looks(np.zeros(3))
+    state, (robot, human) = visuals(np.zeros(3))
     chest, elbow, wrist = (links[k] for k in ("chest", "right_forearm", "right_hand"))
     for found, expected in (
         (robot.tool_pos_torso, tip - torso),
         (robot.tool_pos_target, tip - state.target_pos_w),
-        (robot.helped_arm.shoulder_pos_torso, links["right_upper_arm"] - torso),
-        (robot.helped_arm.wrist_pos_torso, wrist - torso),
-        (person.helped_arm.elbow_pos_person, elbow - chest),
-        (person.target_pos_person, state.target_pos_w - chest),
+        (robot.assisted_arm.shoulder_pos_torso, links["right_upper_arm"] - torso),
+        (robot.assisted_arm.wrist_pos_torso, wrist - torso),
+        (human.assisted_arm.elbow_pos_human, elbow - chest),
+        (human.target_pos_human, state.target_pos_w - chest),
         (robot.tool_force, 3.0),
-        (person.force_on_person, 2.5),
-        (person.force_at_target, 1.5),
+        (human.force_on_human, 2.5),
+        (human.force_at_target, 1.5),
     ):
         np.testing.assert_allclose(found, expected, atol=1e-6)
     # moving everything together changes nothing
     same = lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5)  # noqa: E731
-    jax.tree.map(same, (robot, person), looks(shift)[1])
+    jax.tree.map(same, (robot, human), visuals(shift)[1])
 
 
 @pytest.mark.parametrize(

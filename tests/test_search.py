@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 
 from agym_jax.data import banks as placement
-from agym_jax.offline.clearance import Clearance
 from agym_jax.errors import MissingPlacementError, SpecError
+from agym_jax.human import pose as human_pose
+from agym_jax.offline.base_search import REACHED, REACHED_ROTATION, search
+from agym_jax.offline.clearance import Clearance
 from agym_jax.offline.kinematics import rotation_matrix
-from agym_jax.human import pose as person_pose
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
-from agym_jax.offline.base_search import REACHED, REACHED_ROTATION, search
 from agym_jax.spec import BaseSearch, RobotSpec, Task
 from agym_jax.state import Placement
 from agym_jax.tasks import TASKS
@@ -53,20 +53,20 @@ class Stage:
 
     def __init__(self, task: Task, robot: RobotSpec):
         self.arms = robot.arms_for(task)
-        self.worlds = []
-        moving = task.person.moving(active=False)
+        self.batch = []
+        moving = task.human.moving(active=False)
         for sex in (0.0, 1.0):
             model = compose(task, robot, sex=sex, solid=True)
             data = mujoco.MjData(model)
-            pose = person_pose.typical(task.person, sex)
-            angles = person_pose.start_angles(pose, moving, 1.0, np)
+            pose = human_pose.typical(task.human, sex)
+            angles = human_pose.start_angles(pose, moving, 1.0, np)
             for joint, angle in zip(moving, angles, strict=True):
-                data.qpos[model.joint(f"person/{joint}").qposadr[0]] = angle
-            self.worlds.append((model, data))
+                data.qpos[model.joint(f"human/{joint}").qposadr[0]] = angle
+            self.batch.append((model, data))
         self.joints = [f"robot/{j}" for arm in self.arms for j in arm.joints]
 
     def put(self, place: Placement) -> None:
-        for model, data in self.worlds:
+        for model, data in self.batch:
             root = model.body_rootid[model.joint(self.joints[0]).bodyid[0]]
             model.body_pos[root], model.body_quat[root] = place.base_pos, place.base_quat
             for joint, angle in zip(self.joints, place.arm_angles, strict=True):
@@ -75,18 +75,18 @@ class Stage:
 
     def hands(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Position and rotation matrix of each steered link."""
-        _, data = self.worlds[0]
+        _, data = self.batch[0]
         sites = [data.site(f"robot/{arm.end_effector}") for arm in self.arms]
         return [(np.array(s.xpos), np.array(s.xmat).reshape(3, 3)) for s in sites]
 
     def touching(self) -> list[tuple[str, str]]:
         """Geoms of robot and tools that are inside of person or furniture, and which."""
         found = []
-        for model, data in self.worlds:
+        for model, data in self.batch:
             names = [model.geom(i).name for i in range(model.ngeom)]
             solid = [i for i, n in enumerate(names) if n and model.geom_group[i] == 3]
             mine = [i for i in solid if names[i].startswith(("robot/", "tool"))]
-            other = [i for i in solid if names[i].startswith(("person/", "seat/"))]
+            other = [i for i in solid if names[i].startswith(("human/", "seat/"))]
             assert len(mine) > 8 and len(other) > 19
             for i in mine:
                 for j in other:
@@ -118,7 +118,7 @@ def test_banks_rows_keep_to_limits_and_to_where_bases_may_stand(task: str, robot
     n = len(bank.arm_angles)
     assert n >= 128 and bank.arm_angles.shape == (n, 7 * len(arms))
     assert all(np.isfinite(x).all() for x in (bank.base_pos, bank.base_quat, bank.arm_angles))
-    model, _ = stage(spec, machine).worlds[0]
+    model, _ = stage(spec, machine).batch[0]
     joints = [f"robot/{j}" for arm in arms for j in arm.joints]
     low, high = np.array([model.joint(j).range for j in joints]).T
     assert (bank.arm_angles >= low - 1e-5).all() and (bank.arm_angles <= high + 1e-5).all()

@@ -13,14 +13,13 @@ import pytest
 from agym_jax.data.assets import asset_path
 from agym_jax.errors import AgymError, MissingPostureError
 from agym_jax.furniture import BED
-from agym_jax.human import body
-from agym_jax.human import posture
-from agym_jax.offline import bed_postures as settle
-from agym_jax.offline import posture_report as settle_report
-from agym_jax.human import pose as person_pose
-from agym_jax.human.population import People, Person, draw_person
+from agym_jax.human import body, posture
+from agym_jax.human import pose as human_pose
+from agym_jax.human.population import Human, Population, sample_human
 from agym_jax.human.pose import Pose
 from agym_jax.human.posture import link_positions, load_postures, posture_path
+from agym_jax.offline import bed_postures as settle
+from agym_jax.offline import posture_report as settle_report
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
 from agym_jax.tasks import TASKS as ALL_TASKS
@@ -31,33 +30,33 @@ ROWS = 6 * EACH
 SAMPLE = 24
 
 
-def _drawn(name: str, people: People, count: int) -> tuple[Person, Pose]:
+def _drawn(name: str, humans: Population, count: int) -> tuple[Human, Pose]:
     """People of a task and how they lie, as an episode draws them; leaves in float64 (count, ...)."""
-    spec = ALL_TASKS[name].person
+    spec = ALL_TASKS[name].human
 
-    def one(key: jax.Array) -> tuple[Person, Pose]:
+    def one(key: jax.Array) -> tuple[Human, Pose]:
         who, how = jax.random.split(key)
-        person = draw_person(who, people, len(spec.joints), 0.0, spec.impairments)
-        return person, person_pose.draw_pose(how, spec, person)
+        human = sample_human(who, humans, len(spec.joints), 0.0, spec.impairments)
+        return human, human_pose.sample_pose(how, spec, human)
 
     keys = jax.random.split(jax.random.PRNGKey(0), count)
     return jax.tree.map(lambda x: np.asarray(x, float), jax.jit(jax.vmap(one))(keys))
 
 
-def _gaps_in_the_scene(name: str, person: Person, pose: Pose) -> dict[str, float]:
+def _gaps_in_the_scene(name: str, human: Human, pose: Pose) -> dict[str, float]:
     """Distance of every link of a person from the bed as an episode begins [m]."""
     task = ALL_TASKS[name]
-    scale, moving = float(person.limit_scale), task.person.moving(False)
-    size = (float(person.sex), float(person.stature), float(person.girth))
+    scale, moving = float(human.limit_scale), task.human.moving(False)
+    size = (float(human.sex), float(human.stature), float(human.girth))
     model = compose(task, ROBOTS["Jaco"], False, *size, scale, pose=pose, solid=True)
     data = mujoco.MjData(model)
-    angles = person_pose.start_angles(pose, moving, scale, np)
+    angles = human_pose.start_angles(pose, moving, scale, np)
     for joint, angle in zip(moving, angles, strict=True):
-        data.qpos[model.joint(f"person/{joint}").qposadr[0]] = angle
+        data.qpos[model.joint(f"human/{joint}").qposadr[0]] = angle
     mujoco.mj_kinematics(model, data)
     bed = [model.geom(f"seat/{x}").id for x in _collision_geoms_of_the_bed()]
     return {
-        x: min(mujoco.mj_geomDistance(model, data, model.geom(f"person/{x}").id, g, 0.5, None) for g in bed)
+        x: min(mujoco.mj_geomDistance(model, data, model.geom(f"human/{x}").id, g, 0.5, None) for g in bed)
         for x in body.LINK
     }  # fmt: skip
 
@@ -79,7 +78,7 @@ def test_bank_is_whole(name: str):
         assert (bank.sex[rows] == sex).all()
         assert (bank.stature[rows] == 1).all()
         assert (bank.girth[rows] == 1).all()
-    # draw.People(sizes="continuous")
+    # population.Population(sizes="continuous")
     for sizes, low, high in (
         (bank.sex, -0.2, 1.2), (bank.stature, 0.92, 1.08), (bank.girth, 0.9, 1.15),
     ):  # fmt: skip
@@ -116,13 +115,13 @@ def test_nobody_sinks_in_or_floats(name: str):
 
 @pytest.mark.parametrize("name", TASKS)
 def test_narrow_limits_clip_nothing(name: str):
-    bank, spec, checked = load_postures(name), ALL_TASKS[name].person, 0
+    bank, spec, checked = load_postures(name), ALL_TASKS[name].human, 0
     for i in np.flatnonzero(bank.limit_scale < 1)[::11]:
         row = bank.row(i)
         pose = Pose(row.root_pos, row.root_quat, row.angles)
-        clipped = person_pose.start_angles(pose, tuple(body.JOINTS), row.limit_scale, np)
+        clipped = human_pose.start_angles(pose, tuple(body.JOINTS), row.limit_scale, np)
         np.testing.assert_allclose(clipped, row.angles, atol=1e-6)
-        rows = person_pose.rows(spec, pose, row.dims, (), row.limit_scale, np)
+        rows = human_pose.rows(spec, pose, row.dims, (), row.limit_scale, np)
         expected = list(link_positions(row).values())
         np.testing.assert_allclose(rows.body_pos, expected, atol=1e-6)
         checked += 1
@@ -132,18 +131,18 @@ def test_narrow_limits_clip_nothing(name: str):
 @pytest.mark.parametrize("name", TASKS)
 def test_people_are_drawn_like_somebody_of_their_size_and_limits(name: str):
     bank = load_postures(name)
-    person, pose = _drawn(name, People(impairments=("none", "limits")), 256)
+    human, pose = _drawn(name, Population(impairments=("none", "limits")), 256)
     rows = [int(np.abs(bank.angles - a).max(1).argmin()) for a in pose.angles]
     np.testing.assert_array_equal(bank.angles[rows], pose.angles)
     for field in ("sex", "stature", "girth"):
-        np.testing.assert_array_equal(getattr(bank, field)[rows], getattr(person, field))
-    np.testing.assert_allclose(bank.limit_scale[rows], person.limit_scale, atol=0.03)
-    whole = person.limit_scale == 1
+        np.testing.assert_array_equal(getattr(bank, field)[rows], getattr(human, field))
+    np.testing.assert_allclose(bank.limit_scale[rows], human.limit_scale, atol=0.03)
+    whole = human.limit_scale == 1
     assert (bank.limit_scale[rows][whole] == 1).all()
     assert 100 < whole.sum() < 156
     assert len(set(np.array(rows)[whole])) > 60  # of 256, at random
     joints = tuple(body.JOINTS)
-    for angles, scale in zip(pose.angles, person.limit_scale, strict=True):
+    for angles, scale in zip(pose.angles, human.limit_scale, strict=True):
         low, high = np.rad2deg(body.joint_limits(joints, scale, np)).T
         over = np.maximum(low - np.rad2deg(angles), np.rad2deg(angles) - high).max()
         assert over < 0.5, (scale, over)
@@ -151,12 +150,12 @@ def test_people_are_drawn_like_somebody_of_their_size_and_limits(name: str):
 
 @pytest.mark.parametrize("name", TASKS)
 def test_episodes_begin_with_people_borne_by_the_bed(name: str):
-    people = People(impairments=("none", "limits", "weakness", "tremor"))
-    persons, poses = _drawn(name, people, 64)
-    assert (persons.limit_scale < 1).sum() > 8
+    humans = Population(impairments=("none", "limits", "weakness", "tremor"))
+    humans, poses = _drawn(name, humans, 64)
+    assert (humans.limit_scale < 1).sum() > 8
     for i in range(64):
-        person, pose = jax.tree.map(lambda x: x[i], (persons, poses))  # noqa: B023
-        gap = _gaps_in_the_scene(name, person, pose)
+        human, pose = jax.tree.map(lambda x: x[i], (humans, poses))  # noqa: B023
+        gap = _gaps_in_the_scene(name, human, pose)
         worst = min(gap, key=gap.__getitem__)
         assert gap[worst] >= -settle.DEEPEST, (i, worst, gap[worst])
         assert min(gap["chest"], gap["waist"], gap["hips"]) <= settle.FLOATING, (i, gap)
@@ -167,7 +166,7 @@ def test_a_scene_is_built_with_somebody_of_full_limits():
     for name in TASKS:
         bank = load_postures(name)
         for sex in (0.0, 1.0):
-            pose = person_pose.typical(ALL_TASKS[name].person, sex)
+            pose = human_pose.typical(ALL_TASKS[name].human, sex)
             (row,) = np.flatnonzero((bank.angles == pose.angles).all(1))
             assert (bank.sex[row], bank.limit_scale[row]) == (sex, 1)
 

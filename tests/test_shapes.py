@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from agym_jax.matter.particles.checks import MatterError, capacity, check, speed_limit
+from agym_jax.matter.particles.containers import AG_TO_VESSEL, CUP, SPOON, Bowl, Cup, Vessel
 from agym_jax.matter.particles.solver import FOOD, WATER, ParticleSpec
 from agym_jax.matter.shapes import (
     Boxes,
@@ -24,7 +25,6 @@ from agym_jax.matter.shapes import (
     no_capsules,
     rotation,
 )
-from agym_jax.matter.particles.containers import AG_TO_VESSEL, CUP, SPOON, Bowl, Cup, Vessel
 
 RNG = np.random.default_rng(0)
 VESSELS = pytest.mark.parametrize("vessel", [CUP, SPOON], ids=["cup", "spoon"])

@@ -10,13 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from train.runs.checkpoint import (
-    KEEP,
-    checkpoint_files,
-    load_checkpoint,
-    load_newest,
-    save_checkpoint,
-)
+from agym_jax.data.npz import check_writable, read_npz, write_npz
 from train.configs import PPOConfig
 from train.errors import (
     CheckpointMismatchError,
@@ -25,7 +19,13 @@ from train.errors import (
     SaveFolderError,
 )
 from train.learning.ppo import architecture, init_learner
-from agym_jax.data.npz import check_writable, read_npz, write_npz
+from train.runs.checkpoint import (
+    KEEP,
+    checkpoint_files,
+    load_checkpoint,
+    load_newest,
+    save_checkpoint,
+)
 
 CONFIG = PPOConfig(policy_hidden=(8,), value_hidden=(8,))
 BELONGS = {"env": "FakeReach-v0", "layout": "fake-1"}

@@ -42,7 +42,7 @@ def test_a_wrong_count_on_the_command_line_says_how_to_write_it(capsys):
 
 def test_flags_have_assistive_gyms_names():
     words = (
-        "--env-name FeedingPR2-v0 --num-env-steps 2e6 --save-dir out --seed 3 --num-processes 8 "
+        "--env-name FeedingPR2-v0 --num-env-steps 2e6 --save-dir out --seed 3 --num-envs 8 "
         "--num-steps 10 --num-mini-batch 2 --ppo-epoch 5 --clip-param 0.1 --gamma 0.98 --tau 0.9 "
         "--entropy-coef 0.01 --value-loss-coef 1 --max-grad-norm 1 --lr 1e-3 "
         "--no-use-linear-lr-decay --log-interval 7 --save-interval 9 --impl jax "
@@ -55,7 +55,7 @@ def test_flags_have_assistive_gyms_names():
         num_env_steps=2_000_000,
         save_dir="out",
         seed=3,
-        num_processes=8,
+        num_envs=8,
         num_steps=10,
         num_mini_batch=2,
         ppo_epoch=5,
@@ -94,7 +94,7 @@ def test_every_task_of_the_table_has_settings_that_work():
     for task in TASK_CHANGES:
         config = config_for(f"{task}Jaco-v0")
         for platform in ("cpu", "gpu"):
-            assert resolve(config, platform).num_processes > 0
+            assert resolve(config, platform).num_envs > 0
 
 
 @pytest.mark.parametrize("task", TASK_CHANGES)
@@ -109,38 +109,38 @@ def test_two_learners_have_the_settings_of_one_in_the_same_task(task):
 
 
 def test_the_command_line_of_two_learners_knows_its_own_flags():
-    words = "--env-name FeedingPR2Human-v0 --central-critic --person-policy p.npz --freeze-person"
+    words = "--env-name FeedingPR2Human-v0 --central-critic --human-policy p.npz --freeze-human"
     config = parse_arguments(words.split(), CoopConfig)
     assert config == dataclasses.replace(
         config_for("FeedingPR2Human-v0", CoopConfig),
         central_critic=True,
-        person_policy="p.npz",
-        freeze_person=True,
+        human_policy="p.npz",
+        freeze_human=True,
     )
     assert parse_arguments([], CoopConfig).env_name == "ScratchItchJacoHuman-v0"
 
 
 def test_worlds_that_devices_cannot_share_get_a_suggestion():
-    assert resolve(PPOConfig(num_processes=64), "gpu", devices=4).devices == 4
-    with pytest.raises(ConfigError, match=r"30 worlds .* 4 devices.*--num-processes 32"):
-        resolve(PPOConfig(num_processes=30), "gpu", devices=4)
-    text = r"17 worlds x 20 steps = 340 samples on each of 2 devices.* 7 mini-.*--num-mini-batch 5"
+    assert resolve(PPOConfig(num_envs=64), "gpu", devices=4).devices == 4
+    with pytest.raises(ConfigError, match=r"30 environments .* 4 devices.*--num-envs 32"):
+        resolve(PPOConfig(num_envs=30), "gpu", devices=4)
+    text = r"17 environments x 20 steps = 340 samples on each of 2 devices.* 7 mini-.*--num-mini-batch 5"
     with pytest.raises(ConfigError, match=text):
-        resolve(PPOConfig(num_processes=34, num_steps=20, num_mini_batch=7), "gpu", devices=2)
+        resolve(PPOConfig(num_envs=34, num_steps=20, num_mini_batch=7), "gpu", devices=2)
 
 
 def test_automatic_settings_depend_on_the_machine():
-    assert resolve(PPOConfig(), "cpu").num_processes == 64
+    assert resolve(PPOConfig(), "cpu").num_envs == 64
     config = resolve(PPOConfig(), "gpu")
-    assert config.num_processes == 2048
+    assert config.num_envs == 2048
     lines = 10_000_000 / (2048 * config.num_steps * config.log_interval)
     assert 40 < lines < 160
     assert config.save_interval % config.log_interval == 0
 
 
 def test_batches_that_do_not_divide_get_a_suggestion():
-    with pytest.raises(ConfigError, match=r"3 worlds x 5 steps = 15.*--num-mini-batch 5"):
-        resolve(PPOConfig(num_processes=3, num_steps=5, num_mini_batch=7), "cpu")
+    with pytest.raises(ConfigError, match=r"3 environments x 5 steps = 15.*--num-mini-batch 5"):
+        resolve(PPOConfig(num_envs=3, num_steps=5, num_mini_batch=7), "cpu")
 
 
 @pytest.mark.parametrize(
@@ -155,5 +155,5 @@ def test_impossible_values_are_named(wrong):
 def test_mini_batches_of_a_small_batch_are_not_too_small():
     config = config_for("BedBathingJaco-v0")
     on_cpu, on_gpu = resolve(config, "cpu"), resolve(config, "gpu")
-    assert on_cpu.num_processes * on_cpu.num_steps // on_cpu.num_mini_batch == 80
+    assert on_cpu.num_envs * on_cpu.num_steps // on_cpu.num_mini_batch == 80
     assert on_gpu.num_mini_batch == config.num_mini_batch == 32

@@ -14,11 +14,9 @@ from fake_env import FakeEnv
 
 from agym_jax.data.assets import asset_root
 from agym_jax.observe import layout_version
+from agym_jax.policy.policy import Policy, find_policy, load_policy, save_policy
 from agym_jax.registry import parse
 from train import enjoy, evaluate
-from train.evaluation.agents import BASELINES, PolicyFiles, baseline_policy, load_policies
-from train.learning.algorithm import policy_of
-from train.evaluation.alone import evaluate_alone
 from train.configs import PPOConfig
 from train.errors import (
     ConfigError,
@@ -28,9 +26,11 @@ from train.errors import (
     PolicyNotFoundError,
 )
 from train.evaluate import Evaluator
-from train.learning.ppo import architecture, init_learner
-from agym_jax.policy.policy import Policy, find_policy, load_policy, save_policy
+from train.evaluation.agents import BASELINES, PolicyFiles, baseline_policy, load_policies
+from train.evaluation.alone import evaluate_alone
 from train.evaluation.score import wilson_interval
+from train.learning.algorithm import policy_of
+from train.learning.ppo import architecture, init_learner
 
 INFO = {"env": "FakeReach-v0", "layout": "fake-1", "commit": None, "versions": {}}
 
@@ -171,7 +171,7 @@ def test_an_evaluation_agrees_with_stepping_one_world_after_another():
             state = step(state, jnp.zeros(2))
             total, force = (
                 total + float(state.reward),
-                force + float(state.metrics["force/on_person"]),
+                force + float(state.metrics["force/on_human"]),
             )
         assert found.returns[i] == pytest.approx(total, rel=1e-5)
         assert found.forces[i] == pytest.approx(force / 20, rel=1e-5)

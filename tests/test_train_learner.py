@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from brax.training.agents.ppo.losses import compute_gae as brax_gae
 
-from train.learning.advantage import compute_gae, values_of
-from train.configs import PPOConfig
-from train.learning.ppo import LOSSES, architecture, init_learner, learn, ppo_loss
 from agym_jax.policy.networks import make_networks, sample_action
+from train.configs import PPOConfig
+from train.learning.advantage import compute_gae, values_of
+from train.learning.ppo import LOSSES, architecture, init_learner, learn, ppo_loss
 from train.learning.rollout import Batch
 
 GAMMA, LAMBDA = 0.9, 0.8
 
 
-def make_batch(obs, reward, done, truncation, terminal_obs):
+def make_batch(obs, reward, done, truncation, final_observation):
     """A batch of one-dimensional observations."""
     arrays = [jnp.asarray(x, jnp.float32) for x in (reward, done, truncation)]
     reward, done, truncation = arrays
@@ -32,7 +32,7 @@ def make_batch(obs, reward, done, truncation, terminal_obs):
         discounted=jnp.zeros_like(reward),
         done=done,
         truncation=truncation,
-        terminal_obs=jnp.asarray(terminal_obs, jnp.float32)[..., None],
+        final_observation=jnp.asarray(final_observation, jnp.float32)[..., None],
     )
 
 
@@ -44,14 +44,14 @@ def advantages_of(batch, last_obs, value=lambda obs: obs[..., 0]):
 
 
 def test_a_truncation_bootstraps_with_the_value_of_the_true_last_observation():
-    # Two worlds, three steps; the first is cut off after step 1 at a state worth 7, and the second
+    # Two environments, three steps; the first is cut off after step 1 at a state worth 7, and the second
     # half of the batch is another episode. The observation is its own value.
     batch = make_batch(
         obs=[[1, 4], [2, 5], [3, 6]],
         reward=[[0.5, 0], [0.25, 0], [1, 2]],
         done=[[0, 0], [1, 0], [0, 0]],
         truncation=[[0, 0], [1, 0], [0, 0]],
-        terminal_obs=[[-99, -99], [7, -99], [-99, -99]],
+        final_observation=[[-99, -99], [7, -99], [-99, -99]],
     )
     advantages = advantages_of(batch, [10, 20])
     a1 = 0.25 + GAMMA * 7 - 2

@@ -13,20 +13,20 @@ from fake_env import FakeEnv
 from train_runs import check_continued, check_restored, kill_in_training, listening
 
 from agym_jax.errors import BufferOverflowError
-from train.learning.algorithm import OneLearner
-from train.runs.checkpoint import checkpoint_files, load_newest
+from agym_jax.policy.policy import load_policy
 from train.configs import PPOConfig
-from train.runs.curve import check_row, make_row
 from train.errors import ActiveHumanError, CheckpointMismatchError, DivergedError, SaveFolderError
 from train.evaluate import Evaluator
-from agym_jax.policy.policy import load_policy
+from train.learning.algorithm import OneLearner
 from train.ppo import main, train
+from train.runs.checkpoint import checkpoint_files, load_newest
+from train.runs.curve import check_row, make_row
 from train.runs.result import summary
 
 CONFIG = PPOConfig(
     env_name="FakeReach-v0",
     num_env_steps=45_000,
-    num_processes=32,
+    num_envs=32,
     num_mini_batch=4,
     distribution="tanh_normal",
     policy_hidden=(32,),
@@ -34,7 +34,7 @@ CONFIG = PPOConfig(
     lr=1e-3,
     log_interval=8,
 )
-SMALL = dataclasses.replace(CONFIG, num_processes=4, num_env_steps=80, save_dir=None)
+SMALL = dataclasses.replace(CONFIG, num_envs=4, num_env_steps=80, save_dir=None)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_steps_and_episodes_add_up(trained):
     batch = 32 * 20
     assert result.env_steps == 71 * batch == int(result.learner.env_steps)
     assert [row["env_steps"] for row in result.curve[:2]] == [8 * batch, 16 * batch]
-    # 20 steps an episode, staggered: each world's first episode is partial and not counted
+    # 20 steps an episode, staggered: each environment's first episode is partial and not counted
     episodes = sum(row["episodes"] for row in result.curve)
     assert result.env_steps / 20 - 2 * 32 <= episodes <= result.env_steps / 20
     assert all(row["length"] == 20 for row in result.curve)
@@ -78,7 +78,7 @@ def test_the_folder_has_everything(trained):
     assert names == {"config.json", "curve.jsonl", "curve.png", "checkpoints", "policy.npz"}
     assert len(checkpoint_files(folder / "checkpoints")) == 3
     config = json.loads((folder / "config.json").read_text())
-    assert config["config"]["num_processes"] == 32 and config["versions"]["jax"] == jax.__version__
+    assert config["config"]["num_envs"] == 32 and config["versions"]["jax"] == jax.__version__
     rows = [json.loads(line) for line in (folder / "curve.jsonl").read_text().splitlines()]
     assert rows == result.curve
     assert (folder / "curve.png").read_bytes()[:4] == b"\x89PNG"
@@ -167,7 +167,7 @@ def test_on_log_can_stop_a_run_which_then_goes_on(tmp_path):
 
 
 def test_lost_contacts_stop_the_run():
-    with pytest.raises(BufferOverflowError, match=r"FakeReach-v0.*4 worlds.*buffers"):
+    with pytest.raises(BufferOverflowError, match=r"FakeReach-v0.*4 environments.*buffers"):
         train(FakeEnv(overflow=1.0), SMALL)
 
 
@@ -175,7 +175,7 @@ def test_worlds_that_go_nan_are_counted_and_training_goes_on():
     config = dataclasses.replace(SMALL, num_env_steps=800, stagger=False)
     result = train(FakeEnv(nan_at=5), config)
     assert result.nan_steps == 800 / 5
-    assert "160 world-steps went NaN" in summary(result)
+    assert "160 environment steps went NaN" in summary(result)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result.learner.params))
 
 
@@ -185,19 +185,19 @@ def test_a_loss_that_is_not_finite_stops_the_run():
         "step/reward": -3.0,
         "step/nan": 0.0,
         "step/overflow": 0.0,
-        "step/force/on_person": 8.0,
+        "step/force/on_human": 8.0,
     }
     totals["episode/return_squared"] = 0.0
     row = make_row({**totals, "loss/kl": 2.0}, updates=2, samples=4, episode_length=20)
     assert row["return"] is None and row["return_per_step"] == -15.0 and row["loss/kl"] == 1.0
-    assert row["force/on_person"] == 2.0
+    assert row["force/on_human"] == 2.0
     row = make_row({**totals, "loss/kl": np.nan}, 2, 4, 20) | {"env_steps": 80, "nan_total": 0}
     with pytest.raises(DivergedError, match=r"before step 80: loss/kl not finite.*--lr"):
         check_row(row, "FakeReach-v0", 4)
 
 
 def test_an_active_human_is_refused_with_the_reason():
-    env = FakeEnv(name="ScratchItchJacoHuman-v0", action_sizes={"robot": 2, "person": 1})
+    env = FakeEnv(name="ScratchItchJacoHuman-v0", action_sizes={"robot": 2, "human": 1})
     text = (
         r"robot \(2 actions\) and person \(1 actions\).*read the person's observation.*train.coop"
         r".*ScratchItchJaco-v0.*--allow-joint-observation"
@@ -221,7 +221,7 @@ def test_an_unwritable_folder_is_refused_before_anything_compiles(tmp_path, caps
 
 
 def test_the_command_line_trains(tmp_path, capsys, restored_settings):
-    words = f"--env-name FakeReach-v0 --num-env-steps 6.4e2 --num-processes 4 --save-dir {tmp_path}"
+    words = f"--env-name FakeReach-v0 --num-env-steps 6.4e2 --num-envs 4 --save-dir {tmp_path}"
     words += " --num-mini-batch 4 --policy-hidden 32 --value-hidden 32 --lr 1e-3"
     assert main(words.split(), lambda name, impl: FakeEnv(name=name)) == 0
     out = capsys.readouterr().out

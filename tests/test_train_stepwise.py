@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from fake_env import FakeEnv
 
-from train.evaluation.agents import baseline_policy
 from train.configs import PPOConfig
 from train.demo import main as demo
 from train.errors import ConfigError
 from train.evaluate import Evaluator
-from train.ppo import train
+from train.evaluation.agents import baseline_policy
 from train.learning.stepwise import StepwiseEnv, evaluate_stepwise
+from train.ppo import train
 
 CONFIG = PPOConfig(
     num_env_steps=1280,
-    num_processes=16,
+    num_envs=16,
     num_mini_batch=4,
     policy_hidden=(16,),
     value_hidden=(16,),
@@ -60,8 +60,8 @@ def test_evaluation_is_the_same_either_way(stepwise):
 
 def test_another_batch_size_is_refused(stepwise):
     _, venv = stepwise
-    with pytest.raises(ConfigError, match="compiled for 16 worlds, not 32"):
-        train(venv, dataclasses.replace(CONFIG, num_processes=32))
+    with pytest.raises(ConfigError, match="compiled for 16 environments, not 32"):
+        train(venv, dataclasses.replace(CONFIG, num_envs=32))
 
 
 def test_demo_without_a_policy_says_how_to_train_one(tmp_path, capsys):

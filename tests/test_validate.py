@@ -12,9 +12,9 @@ import pytest
 
 from agym_jax.data.assets import asset_path
 from agym_jax.errors import AgymError, MissingAssetError, SpecError, UnknownNameError
+from agym_jax.offline.base_search import search
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import build_scene, compose
-from agym_jax.offline.base_search import search
 from agym_jax.spec import RobotSpec, Task
 from agym_jax.tasks import TASKS
 from agym_jax.tasks.scratch_itch import ScratchItch
@@ -39,10 +39,10 @@ ROBOT_FILE = """
 """
 
 
-def with_person(task: Task, **changes: Any) -> Task:
+def with_human(task: Task, **changes: Any) -> Task:
     """The task with another person."""
-    person = dataclasses.replace(task.person, **changes)
-    return dataclasses.replace(task, person=person)  # pyrefly: ignore
+    human = dataclasses.replace(task.human, **changes)
+    return dataclasses.replace(task, human=human)  # pyrefly: ignore
 
 
 def with_tool(**changes: Any) -> Task:
@@ -117,18 +117,18 @@ def changed(robot: RobotSpec, old: str, new: str) -> RobotSpec:
 @pytest.mark.parametrize("active", [False, True])
 def test_a_name_that_no_person_has_is_named(changes: dict, message: str, active: bool):
     with pytest.raises(UnknownNameError, match="Unknown " + message) as caught:
-        build_scene(with_person(REACH, **changes), JACO, active)
+        build_scene(with_human(REACH, **changes), JACO, active)
     assert isinstance(caught.value, AgymError)
 
 
 def test_a_person_without_any_impairment_is_refused():
     with pytest.raises(SpecError, match=r'impairments is empty.*healthy person is \("none",\)'):
-        compose(with_person(REACH, impairments=()), JACO)
+        compose(with_human(REACH, impairments=()), JACO)
 
 
 def test_a_comma_that_is_missing_is_told():
     with pytest.raises(SpecError, match=r"limbs is the text 'head'.*comma: \('head',\)"):
-        compose(with_person(REACH, limbs="head"), JACO)
+        compose(with_human(REACH, limbs="head"), JACO)
     with pytest.raises(SpecError, match=r"goals is the text 'mouth'.*comma: \('mouth',\)"):
         compose(dataclasses.replace(REACH, goals=("mouth",)), JACO)
     with pytest.raises(SpecError, match=r"Arm\.links is the text 'link_7_collision'"):

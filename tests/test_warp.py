@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from conftest import compiled_person
+from conftest import compiled_human
 
 import agym_jax
-from agym_jax.sim import mjx as mjx_physics
 from agym_jax.compat import warp_kernels
+from agym_jax.sim import mjx as mjx_physics
 from agym_jax.wrappers import vectorize
 
 pytestmark = pytest.mark.warp
@@ -21,10 +21,10 @@ N = 4
 
 
 def rollout(impl: str, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Observations, rewards and overflow flags of a few worlds under the same actions."""
-    worlds = vectorize(agym_jax.make("ScratchItchJaco-v0", impl=impl), N)
-    state = jax.jit(worlds.reset)(jax.random.PRNGKey(0))
-    step = jax.jit(worlds.step)
+    """Observations, rewards and overflow flags of a few environments under the same actions."""
+    batch = vectorize(agym_jax.make("ScratchItchJaco-v0", impl=impl), N)
+    state = jax.jit(batch.reset)(jax.random.PRNGKey(0))
+    step = jax.jit(batch.step)
     rows = []
     for i in range(steps):
         action = jax.random.uniform(jax.random.PRNGKey(i), (N, 7), minval=-1.0, maxval=1.0)
@@ -43,15 +43,15 @@ def test_warp_and_jax_give_the_same_trajectory():
 
 
 def test_each_world_of_warp_touches_its_own_person():
-    """Limbs that no joint moves: MuJoCo Warp places them once for all worlds if it is let."""
-    worlds = vectorize(agym_jax.make("BedBathingJaco-v0", impl="warp"), N)
-    env, index = worlds.env, worlds.env.scene.index
-    state = jax.jit(worlds.reset)(jax.random.PRNGKey(0))
-    step, restart = jax.jit(worlds.step), jax.jit(jax.vmap(env.restart))
-    state = restart(state, jnp.arange(N) % 2 == 0)  # half of them are somebody new
-    assert 0 < np.sum(np.asarray(state.episode.person.sex)) < N
-    people = [jax.tree.map(operator.itemgetter(i), state.episode) for i in range(N)]
-    models = [compiled_person(env, episode) for episode in people]
+    """Limbs that no joint moves: MuJoCo Warp places them once for all environments if it is let."""
+    batch = vectorize(agym_jax.make("BedBathingJaco-v0", impl="warp"), N)
+    env, index = batch.env, batch.env.scene.index
+    state = jax.jit(batch.reset)(jax.random.PRNGKey(0))
+    step, reset_where = jax.jit(batch.step), jax.jit(jax.vmap(env.reset_where))
+    state = reset_where(state, jnp.arange(N) % 2 == 0)  # half of them are somebody new
+    assert 0 < np.sum(np.asarray(state.episode.human.sex)) < N
+    humans = [jax.tree.map(operator.itemgetter(i), state.episode) for i in range(N)]
+    models = [compiled_human(env, episode) for episode in humans]
     reach = np.array([[0.3, -0.3, 0.3, 0.0, 0.3, 0.3, 0.0]] * N, np.float32)
     state = step(state, reach)
     for i, model in enumerate(models):
@@ -72,10 +72,10 @@ def test_each_world_of_warp_touches_its_own_person():
         force = 0.0
         for _ in range(env.task.control.frame_skip):
             mujoco.mj_step(model, c)
-            force += np.abs(c.sensordata[index.robot_person]).sum()
-            force += sum(np.abs(c.sensordata[t.on_person]).sum() for t in index.tools)
+            force += np.abs(c.sensordata[index.robot_human]).sum()
+            force += sum(np.abs(c.sensordata[t.on_human]).sum() for t in index.tools)
         assert force > 1.0
-        mine = float(after.metrics["force/on_person"][i])
+        mine = float(after.metrics["force/on_human"][i])
         np.testing.assert_allclose(mine, force / env.task.control.frame_skip, rtol=2e-3)
         np.testing.assert_allclose(after.data.qpos[i], c.qpos, atol=1e-4)
 
@@ -87,7 +87,7 @@ def _deepest_press(env, models) -> np.ndarray:
     poses = []
     for model in models:
         c = mujoco.MjData(model)
-        limbs = set(index.person_geom.tolist())
+        limbs = set(index.human_geom.tolist())
         while True:
             c.qpos[:] = rng.uniform(np.maximum(low, -3.1), np.minimum(high, 3.1))
             mujoco.mj_forward(model, c)
@@ -101,9 +101,9 @@ def _deepest_press(env, models) -> np.ndarray:
 
 def carry_water(impl: str) -> tuple[np.ndarray, ...]:
     """Two cups of water on their way: where the drops are, which are left, and the joints."""
-    worlds = vectorize(agym_jax.make("DrinkingJaco-v0", impl=impl), 2)
-    state = jax.jit(worlds.reset)(jax.random.PRNGKey(3))
-    step = jax.jit(worlds.step)
+    batch = vectorize(agym_jax.make("DrinkingJaco-v0", impl=impl), 2)
+    state = jax.jit(batch.reset)(jax.random.PRNGKey(3))
+    step = jax.jit(batch.step)
     action = jnp.zeros((2, 7)).at[0, 6].set(1.0).at[1, 5].set(1.0)
     rows = []
     for _ in range(40):

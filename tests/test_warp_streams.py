@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import mujoco
 import pytest
 
-from agym_jax.sim import mjx as mjx_physics
 from agym_jax.compat.warp_streams import hold_streams
+from agym_jax.sim import mjx as mjx_physics
 
 warp = pytest.importorskip("warp")
 pytestmark = pytest.mark.warp

@@ -16,12 +16,12 @@ from jax import Array
 
 from agym_jax.data import banks as placement
 from agym_jax.furniture import WHEELCHAIR
-from agym_jax.observe import column, observation
 from agym_jax.human.body import HEAD
+from agym_jax.observe import column, observation
 from agym_jax.preferences import preference_terms
 from agym_jax.registry import register_robot, register_task
 from agym_jax.sense import Sensed
-from agym_jax.spec import Arm, Control, PersonSpec, Preferences, RobotSpec, SeatSpec
+from agym_jax.spec import Arm, Control, HumanSpec, Preferences, RobotSpec, SeatSpec
 
 # -- the robot ---------------------------------------------------------------------------------
 
@@ -64,12 +64,12 @@ class RobotObs:
 
 
 @observation
-class PersonObs:
+class HumanObs:
     """What the active person sees and feels."""
 
-    hand_pos_person: Array = column(3, "m", "world axes, from the chest")
-    person_angles: Array = column(4, "rad", "neck and head joints")
-    force_on_person: Array = column(1, "N", "robot on the person")
+    hand_pos_human: Array = column(3, "m", "world axes, from the chest")
+    human_angles: Array = column(4, "rad", "neck and head joints")
+    force_on_human: Array = column(1, "N", "robot on the person")
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Waving:
     goals: tuple[tuple[str, ...], ...] = (("head",),)
     tool: None = None
     seat: SeatSpec = WHEELCHAIR
-    person: PersonSpec = PersonSpec(
+    human: HumanSpec = HumanSpec(
         joints=HEAD,
         pose={"r_hip_x": -90 * _RAD, "r_knee_x": 80 * _RAD, "l_hip_x": -90 * _RAD, "l_knee_x": 80 * _RAD},
         hold_rate=2.5,
@@ -96,11 +96,11 @@ class Waving:
         tremor_amplitude=20 * _RAD,
         impairments=("none", "limits", "weakness", "tremor"),
         limbs=("head", "neck", "chest"),
-        still="welded",
+        passive_mode="welded",
     )  # fmt: skip
     episode_length: int = 100
     robot_obs: type = RobotObs
-    person_obs: type = PersonObs
+    human_obs: type = HumanObs
 
     def start(self, key: Array, robot: str) -> Array:
         """Where the hand starts, world [m] (1, 3)."""
@@ -119,16 +119,16 @@ class Waving:
     ) -> dict[str, Array]:
         """Weighted terms."""
         speed = jnp.linalg.norm(sensed.tool.vel_w)
-        force = sensed.force_on_person
+        force = sensed.force_on_human
         terms = preference_terms(Preferences(), speed, force, jnp.float32(0.0))
         return {"distance": -state.distance, **terms}
 
-    def observe(self, state: WaveState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+    def observe(self, state: WaveState, sensed: Sensed) -> tuple[RobotObs, HumanObs]:
         """What robot and person see."""
         hand = sensed.tool.pos_w
         return (
             RobotObs(hand - state.goal_w, sensed.arm_angles),
-            PersonObs(hand - sensed.person_pos_w, sensed.person_angles, sensed.force_on_person),
+            HumanObs(hand - sensed.human_pos_w, sensed.human_angles, sensed.force_on_human),
         )
 
     def success(self, state: WaveState) -> Array:

@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from train.learning.rollout import init_rollout
+from train.learning.update import make_updates
 from train.runs.checkpoint import checkpoint_files, load_newest, save_checkpoint
 from train.runs.progress import Lines
-from train.learning.rollout import first_worlds
-from train.learning.update import make_updates
 
 ROOT = Path(__file__).resolve().parent.parent
 PREAMBLE = f"import sys; sys.path[:0] = {[str(ROOT), str(ROOT / 'tests')]!r}\n"
@@ -58,7 +58,7 @@ def kill_in_training(env: Any, trainer: str, config: Any) -> None:
 
 def check_continued(result: Any, said: list[str], config: Any, updates: int) -> None:
     """The curve of a run that was killed and went on has every row once, in memory and on disk."""
-    batch = config.num_processes * config.num_steps
+    batch = config.num_envs * config.num_steps
     assert 0 < result.session_steps < result.env_steps == updates * batch
     steps = [row["env_steps"] for row in result.curve]
     assert steps == [batch * i for i in range(1, updates + 1)]  # nothing twice, nothing missing
@@ -70,16 +70,16 @@ def check_continued(result: Any, said: list[str], config: Any, updates: int) -> 
 
 def check_restored(env: Any, config: Any, algorithm: Any, folder: Path) -> Any:
     """A saved and restored learner learns on exactly as one that was never saved; returns it."""
-    venv = env.vectorize(config.num_processes)
+    venv = env.vectorize(config.num_envs)
     learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
-    worlds = jax.jit(lambda key: first_worlds(venv, key, True))(jax.random.PRNGKey(1))
+    batch = jax.jit(lambda key: init_rollout(venv, key, True))(jax.random.PRNGKey(1))
     run = jax.jit(make_updates(venv, config, algorithm))
-    middle, worlds, _ = run(learner, worlds, jnp.int32(3), jnp.float32(800))
-    unbroken, _, _ = run(middle, worlds, jnp.int32(2), jnp.float32(800))
+    middle, batch, _ = run(learner, batch, jnp.int32(3), jnp.float32(800))
+    unbroken, _, _ = run(middle, batch, jnp.int32(2), jnp.float32(800))
 
     save_checkpoint(folder, middle, {"belongs": {}})
     restored = load_newest(folder, learner, {}).learner
-    resumed, _, _ = run(restored, worlds, jnp.int32(2), jnp.float32(800))
+    resumed, _, _ = run(restored, batch, jnp.int32(2), jnp.float32(800))
     assert env.traces["step"] == 1
     assert same_bytes(unbroken, resumed) and not same_bytes(middle, resumed)
     return restored

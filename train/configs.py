@@ -56,27 +56,27 @@ class LearnConfig:
     save_dir: str | None = "trained_models"
     """Folder of the results; each environment gets its own folder in it. None writes nothing."""
     seed: int = 1
-    """Seed of the networks, the worlds and the exploration."""
+    """Seed of the networks, the environments and the exploration."""
     impl: str = "auto"
     """Physics: "jax", "warp", or "auto" (Warp on an NVIDIA GPU where it is installed)."""
     devices: Count = 0
-    """Accelerators that share the worlds; 0 = all there are."""
+    """Accelerators that share the environments; 0 = all there are."""
     hosts: str | None = None
     """Train on several machines, each started with this command: "auto" where JAX finds them itself
     (SLURM, Open MPI, Cloud TPU), or ADDRESS:PORT,COUNT,INDEX with the address of machine 0, how many
     they are, and which one this is. They need a common --save-dir."""
 
-    num_processes: Annotated[Count, tyro.conf.arg(aliases=["--num-envs"])] = 0
-    """Worlds simulated side by side; 0 = 64 on a CPU, and on an accelerator 4096, or what suits
+    num_envs: Annotated[Count, tyro.conf.arg(aliases=["--num-envs"])] = 0
+    """Environments simulated side by side; 0 = 64 on a CPU, and on an accelerator 4096, or what suits
     the task (WORLDS)."""
     num_steps: Count = 20
-    """Steps of each world in one update."""
+    """Steps of each environment in one update."""
     ppo_epoch: Count = 4
     """Passes over the data of an update."""
     num_mini_batch: Count = 8
     """Gradient steps in a pass; fewer where a step would have less than 80 samples."""
     stagger: bool = True
-    """Start the worlds at different times of their first episode, so that an update sees all
+    """Start the environments at different times of their first episode, so that an update sees all
     phases of an episode (needs an environment that can; the first episodes are not counted)."""
 
     lr: float = 3e-4
@@ -176,10 +176,10 @@ class CoopConfig(LearnConfig):
     """A policy file that the robot starts from."""
     freeze_robot: bool = False
     """Leave --robot-policy as it is, and let it act by the mode of its distribution."""
-    person_policy: str | None = None
+    human_policy: str | None = None
     """A policy file that the person starts from."""
-    freeze_person: bool = False
-    """Leave --person-policy as it is, and let it act by the mode of its distribution."""
+    freeze_human: bool = False
+    """Leave --human-policy as it is, and let it act by the mode of its distribution."""
 
     def __post_init__(self) -> None:
         """Reject values that can never work.
@@ -188,14 +188,14 @@ class CoopConfig(LearnConfig):
             ConfigError: as ``LearnConfig``; or there is nothing to freeze, or nothing to learn.
         """
         super().__post_init__()
-        for agent in ("robot", "person"):
+        for agent in ("robot", "human"):
             if getattr(self, f"freeze_{agent}") and getattr(self, f"{agent}_policy") is None:
                 raise ConfigError(
                     f"--freeze-{agent} keeps a policy as it is, so it needs --{agent}-policy FILE."
                 )
-        if self.freeze_robot and self.freeze_person:
+        if self.freeze_robot and self.freeze_human:
             raise ConfigError(
-                "--freeze-robot with --freeze-person leaves nobody to learn. Use one of them, or "
+                "--freeze-robot with --freeze-human leaves nobody to learn. Use one of them, or "
                 "python -m train.evaluate to measure the two policies."
             )
 
@@ -239,8 +239,8 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "Reaching": _TOUCH | {"lr": 3e-4},
 }
 
-WORLDS = {"ScratchItch": 2048, "FeedingJaco": 1024, "Drinking": 1024, "Dressing": 1024}
-"""Worlds on an accelerator, where a task was trained with another number than 4096. Keys as above."""
+NUM_ENVS = {"ScratchItch": 2048, "FeedingJaco": 1024, "Drinking": 1024, "Dressing": 1024}
+"""Environments on an accelerator, where a task was trained with another number than 4096. Keys as above."""
 LEAST_SAMPLES = 80
 """Of a mini-batch, when ``num_mini_batch`` would make smaller ones of a small batch."""
 
@@ -297,22 +297,22 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
     Args:
         config: settings, with 0 meaning automatic.
         platform: JAX's name of the device kind: "cpu", "gpu", "tpu".
-        devices: how many share the worlds.
+        devices: how many share the environments.
 
     Returns:
-        Settings without a 0 in ``devices``, ``num_processes`` and ``log_interval``;
+        Settings without a 0 in ``devices``, ``num_envs`` and ``log_interval``;
         ``save_interval`` is a whole number of log intervals.
 
     Raises:
-        ConfigError: the worlds do not divide among the devices, or the data of an update not into
+        ConfigError: the environments do not divide among the devices, or the data of an update not into
             mini-batches.
     """
-    worlds = _of(WORLDS, config.env_name, 4096)
-    num_envs = config.num_processes or (64 if platform == "cpu" else worlds)
+    rollout_state = _of(NUM_ENVS, config.env_name, 4096)
+    num_envs = config.num_envs or (64 if platform == "cpu" else rollout_state)
     if num_envs % devices:
         raise ConfigError(
-            f"{num_envs} worlds cannot be shared by {devices} devices. Nearest that can: "
-            f"--num-processes {devices * max(1, round(num_envs / devices))}; or use fewer: --devices 1."
+            f"{num_envs} environments cannot be shared by {devices} devices. Nearest that can: "
+            f"--num-envs {devices * max(1, round(num_envs / devices))}; or use fewer: --devices 1."
         )
     batch = num_envs * config.num_steps
     if batch // config.num_mini_batch < LEAST_SAMPLES and batch % LEAST_SAMPLES == 0:
@@ -323,7 +323,7 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
         near = min(divisors, key=lambda n: abs(n - config.num_mini_batch))
         each = f" on each of {devices} devices" if devices > 1 else ""
         raise ConfigError(
-            f"An update has {num_envs // devices} worlds x {config.num_steps} steps = {here} "
+            f"An update has {num_envs // devices} environments x {config.num_steps} steps = {here} "
             f"samples{each}, which do not divide into {config.num_mini_batch} mini-batches. Nearest "
             f"that does: --num-mini-batch {near}."
         )
@@ -334,7 +334,7 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
     return dataclasses.replace(
         config,
         devices=devices,
-        num_processes=num_envs,
+        num_envs=num_envs,
         log_interval=log_interval,
         save_interval=save_interval,
     )

@@ -12,10 +12,10 @@ from typing import Any
 
 from train.configs import CoopConfig
 from train.envs import make_env, refuse_static_human
+from train.learning.agents import TwoLearners
 from train.runs.progress import Progress
 from train.runs.result import TrainResult
 from train.runs.session import OnLog, command_line, run_session, settle
-from train.learning.agents import TwoLearners
 
 
 def train(

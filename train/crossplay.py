@@ -15,16 +15,16 @@ from typing import Annotated, Any
 import jax
 import tyro
 
+from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
-from train.evaluation.agents import BASELINES, Baseline, Pair, load_agent
+from agym_jax.policy.policy import FILE_NAMES, Policy, check_policy, find_policy
 from train.configs import Count
 from train.envs import make_env, parts, refuse_static_human, static_name
 from train.errors import ConfigError
 from train.evaluate import Evaluator
-from agym_jax.data.npz import check_writable
-from agym_jax.policy.policy import FILE_NAMES, Policy, check_policy, find_policy
-from train.runs.record import append_record, record
+from train.evaluation.agents import BASELINES, Baseline, Pair, load_agent
 from train.evaluation.score import EvaluationResult
+from train.runs.record import append_record, record
 
 STILL = "(holds still)"
 Matrix = dict[tuple[str, str], EvaluationResult]
@@ -41,9 +41,9 @@ class CrossplayConfig:
     """--save-dir of runs of train.coop: the robot and the person of each take part."""
     robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE ...")] = ()
     """Further policies of the robot, of this id or the one with a still person; "zero", "random"."""
-    people: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE ...")] = ()
+    humans: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE ...")] = ()
     """Further policies of the person; "zero", "random"."""
-    still_person: bool = True
+    still_human: bool = True
     """Also let every robot help a person who holds still."""
     num_episodes: Count = 100
     """Episodes of each pair, all side by side."""
@@ -63,25 +63,25 @@ def find_files(config: CrossplayConfig) -> tuple[list[str], list[str]]:
         PolicyNotFoundError: a file is not there.
     """
     plain = config.env_name.rpartition(":")[2]
-    robots, people = (
+    robots, humans = (
         [str(Path(run) / plain / FILE_NAMES[agent]) for run in config.runs] + list(more)
-        for agent, more in (("robot", config.robots), ("person", config.people))
+        for agent, more in (("robot", config.robots), ("human", config.humans))
     )
-    for name in (*robots, *people):
+    for name in (*robots, *humans):
         if name not in BASELINES:
             find_policy(plain, None, name)
-    if not robots or not (people or config.still_person):
+    if not robots or not (humans or config.still_human):
         raise ConfigError(
             "A matrix needs robots and people: --runs DIR ... of train.coop, or --robots FILE ... and "
-            "--people FILE ... (files, zero, random)."
+            "--humans FILE ... (files, zero, random)."
         )
-    return list(dict.fromkeys(robots)), list(dict.fromkeys(people))
+    return list(dict.fromkeys(robots)), list(dict.fromkeys(humans))
 
 
 def crossplay(
     env: Any,
     robots: Named,
-    people: Named,
+    humans: Named,
     num_episodes: int,
     seed: int,
     still_env: Any = None,
@@ -91,7 +91,7 @@ def crossplay(
     Args:
         env: where both act.
         robots: name -> policy.
-        people: name -> policy.
+        humans: name -> policy.
         num_episodes: of each pair.
         seed: of the episodes.
         still_env: the same with a person who holds still; None leaves that column out.
@@ -100,11 +100,11 @@ def crossplay(
         (robot, person) and what came of it, as it is found.
     """
     key, columns = jax.random.PRNGKey(seed), parts(env)["robot"].observed.stop
-    evaluator = Evaluator(env, num_episodes) if people else None
+    evaluator = Evaluator(env, num_episodes) if humans else None
     for robot, policy in robots.items():
-        for person, other in people.items():
+        for human, other in humans.items():
             if evaluator:
-                yield (robot, person), evaluator(Pair(policy, other, columns), key)
+                yield (robot, human), evaluator(Pair(policy, other, columns), key)
     if still_env is not None:
         evaluator = Evaluator(still_env, num_episodes)
         for robot, policy in robots.items():
@@ -113,13 +113,13 @@ def crossplay(
 
 def table(matrix: Matrix) -> str:
     """Success and mean return of all pairs; rows are robots, columns people."""
-    robots, people = (list(dict.fromkeys(key[i] for key in matrix)) for i in (0, 1))
+    robots, humans = (list(dict.fromkeys(key[i] for key in matrix)) for i in (0, 1))
     lines = [f"  R{i:<3}{name}" for i, name in enumerate(robots, 1)]
-    lines += [f"  P{i:<3}{name}" for i, name in enumerate(people, 1)]
+    lines += [f"  P{i:<3}{name}" for i, name in enumerate(humans, 1)]
     lines.append("success, and return, of a robot (row) with a person (column):")
-    lines.append("    " + "".join(f"{f'P{i}':>18}" for i in range(1, len(people) + 1)))
+    lines.append("    " + "".join(f"{f'P{i}':>18}" for i in range(1, len(humans) + 1)))
     for i, robot in enumerate(robots, 1):
-        cells = [matrix[robot, person] for person in people]
+        cells = [matrix[robot, human] for human in humans]
         shown = [f"{cell.success:.1%} {cell.returns.mean():9.1f}" for cell in cells]
         lines.append(f"R{i:<3}" + "".join(f"{text:>18}" for text in shown))
     return "\n".join(lines)
@@ -133,25 +133,25 @@ def run(config: CrossplayConfig, make: Callable[[str, str], Any] = make_env) -> 
     """
     if config.json:
         check_writable(Path(config.json).parent, "Choose another file with --json.")
-    robot_files, people_files = find_files(config)
+    robot_files, humans_files = find_files(config)
     env = make(config.env_name, config.impl)
     refuse_static_human(env)
     robots = {name: load_agent(name, env, "robot") for name in robot_files}
-    people = {name: load_agent(name, env, "person") for name in people_files}
-    still = make(static_name(config.env_name), config.impl) if config.still_person else None
+    humans = {name: load_agent(name, env, "human") for name in humans_files}
+    still = make(static_name(config.env_name), config.impl) if config.still_human else None
     for name, policy in robots.items():
         if still and isinstance(policy, Policy):
             check_policy(policy, still, name)
     matrix: Matrix = {}
-    for (robot, person), result in crossplay(
-        env, robots, people, config.num_episodes, config.seed, still
+    for (robot, human), result in crossplay(
+        env, robots, humans, config.num_episodes, config.seed, still
     ):
-        matrix[robot, person] = result
+        matrix[robot, human] = result
         if config.json:
             line = record(
                 "crossplay",
                 robot_policy=robot,
-                person_policy=None if person == STILL else person,
+                human_policy=None if human == STILL else human,
                 seed=config.seed,
                 impl=str(getattr(env, "impl", config.impl)),
                 **result.summary(),

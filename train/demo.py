@@ -22,19 +22,19 @@ import jax
 import numpy as np
 import tyro
 
+from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
-from train.evaluation.agents import baseline_policy
+from agym_jax.policy.policy import find_policy, load_policy
 from train.configs import Count, config_for
 from train.enjoy import Frame, caption
 from train.envs import make_env, vectorize
-from agym_jax.data.npz import check_writable
-from agym_jax.policy.policy import find_policy, load_policy
+from train.evaluation.agents import baseline_policy
+from train.evaluation.score import EvaluationResult
+from train.learning.rollout import FORCE_KEY
+from train.learning.stepwise import StepwiseEnv, evaluate_stepwise
 from train.ppo import OnLog, train
 from train.runs.progress import for_terminal
 from train.runs.result import summary
-from train.learning.rollout import FORCE_KEY
-from train.evaluation.score import EvaluationResult
-from train.learning.stepwise import StepwiseEnv, evaluate_stepwise
 
 FILM_SPEED = 4.0  # times real time
 LEAST_TRAINING = 60.0  # s, however late it is
@@ -50,8 +50,8 @@ class DemoConfig:
     """A policy file; without it, the policy shipped with agym_jax."""
     out: Path = Path("demo")
     """Folder for film, pictures and learning curve."""
-    people: Count = 64
-    """How many people are helped side by side, and worlds of the training run."""
+    humans: Count = 64
+    """How many people are helped side by side, and environments of the training run."""
     num_env_steps: Count = 150_000
     """Steps to train for."""
     seconds: float = 90.0
@@ -65,19 +65,19 @@ class DemoConfig:
 
 
 class Recorder:
-    """Keeps what pictures need of every world at every step."""
+    """Keeps what pictures need of every environment at every step."""
 
     def __init__(self) -> None:
         self._states: list[Any] = []
 
     def __call__(self, state: Any) -> None:
-        """Remember the state of all worlds."""
+        """Remember the state of all environments."""
         data = {name: getattr(state.data, name) for name in ("qpos", "qvel", "ctrl")}
         kept = {name: getattr(state, name) for name in ("task", "episode", "reward", "metrics")}
         self._states.append(jax.device_get({"data": data, **kept}))
 
     def frames(self, world: int) -> Iterator[Frame]:
-        """One world's first episode, but for its last step, after which the next one has begun."""
+        """One environment's first episode, but for its last step, after which the next one has begun."""
         total = 0.0
         for step, states in enumerate(self._states[:-1]):
             one = jax.tree.map(lambda leaf: leaf[world], states)
@@ -148,10 +148,10 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
     path = find_policy(config.env_name.rpartition(":")[2], None, config.policy)
     env = make(config.env_name, "jax")
     policy = load_policy(path, env)
-    say(f"Compiling {env.name} for {config.people} people. About a minute, once on this machine.")
-    venv = StepwiseEnv(vectorize(env, config.people))
+    say(f"Compiling {env.name} for {config.humans} people. About a minute, once on this machine.")
+    venv = StepwiseEnv(vectorize(env, config.humans))
 
-    say(f"The trained robot helps {config.people} people, none of whom it has met before.")
+    say(f"The trained robot helps {config.humans} people, none of whom it has met before.")
     recorder = Recorder()
     key = jax.random.PRNGKey(config.seed + 1000)
     result = evaluate_stepwise(venv, policy, key, recorder)
@@ -168,7 +168,7 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
     settings = config_for(env.name)
     changes = {
         "num_env_steps": config.num_env_steps,
-        "num_processes": config.people,
+        "num_envs": config.humans,
         "save_dir": str(config.out),
         "seed": config.seed,
         "lr": 1e-3,  # a short run, of small networks

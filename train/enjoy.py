@@ -1,6 +1,6 @@
 """Watch a policy: ``python -m train.enjoy --env-name ScratchItchJaco-v0 --clip scratch.gif``.
 
-One world on the CPU, with C MuJoCo's physics; the seed decides the episodes. Writes a film, a sheet of pictures, or opens
+One environment on the CPU, with C MuJoCo's physics; the seed decides the episodes. Writes a film, a sheet of pictures, or opens
 MuJoCo's viewer, and prints each episode's return, force and success.
 """
 
@@ -18,13 +18,13 @@ from typing import Any
 import jax
 import tyro
 
+from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
-from agym_jax.rendering.meshes import check_looks
-from train.evaluation.agents import AnyPolicy, find_policies, load_policies
+from agym_jax.rendering.meshes import check_visuals
 from train.configs import Count
 from train.envs import make_env, programs
 from train.errors import ConfigError
-from agym_jax.data.npz import check_writable
+from train.evaluation.agents import AnyPolicy, find_policies, load_policies
 from train.learning.rollout import FORCE_KEY
 
 SHEET_PICTURES = 20
@@ -40,7 +40,7 @@ class EnjoyConfig:
     """--save-dir of a training run; without it and --policy, the policy shipped with agym_jax."""
     policy: str | None = None
     """A policy file, or "zero" or "random"; the robot's, where there is one for each agent."""
-    person_policy: str | None = None
+    human_policy: str | None = None
     """The same for a person who acts; without it, the one that lies beside the robot's."""
     episodes: Count = 1
     """How many episodes, one after the other."""
@@ -66,7 +66,7 @@ class EnjoyConfig:
     """Height of a picture in pixels."""
     backend: str = "auto"
     """How pictures are drawn: "gl", "raycast" or "auto"."""
-    looks: str = "primitives"
+    visuals: str = "primitives"
     """What the robot looks like: "primitives", or "meshes" of other packages (agym_jax[meshes])."""
 
 
@@ -75,7 +75,7 @@ class Frame:
     """One moment of an episode.
 
     Attributes:
-        state: of the world.
+        state: of the environment.
         step: control steps done.
         total: return so far.
         force: force on the person in this step [N].
@@ -92,7 +92,7 @@ class Frame:
 
 
 class Player:
-    """Plays episodes of one world; compiles once."""
+    """Plays episodes of one environment; compiles once."""
 
     def __init__(self, env: Any, policy: AnyPolicy, deterministic: bool = True) -> None:
         self.env = env
@@ -127,7 +127,7 @@ def film(env: Any, frames: Sequence[Frame], config: EnjoyConfig) -> list[Any]:
     """Pictures of the frames of one episode, uint8 (height, width, 3) each."""
     from agym_jax.rendering.render import Renderer
 
-    model, data = env.to_mujoco(frames[0].state, config.looks)
+    model, data = env.to_mujoco(frames[0].state, config.visuals)
     pictures, size = [], (config.width, config.height)
     with Renderer(model, *size, config.camera, config.backend) as renderer:
         for frame in frames:
@@ -136,7 +136,7 @@ def film(env: Any, frames: Sequence[Frame], config: EnjoyConfig) -> list[Any]:
     return pictures
 
 
-def watch(env: Any, frames: Iterator[Frame], looks: str) -> list[Frame]:
+def watch(env: Any, frames: Iterator[Frame], visuals: str) -> list[Frame]:
     """Show an episode in MuJoCo's viewer at the speed of life; returns its frames.
 
     Raises:
@@ -146,7 +146,7 @@ def watch(env: Any, frames: Iterator[Frame], looks: str) -> list[Frame]:
         import mujoco.viewer
 
         first = next(frames)
-        model, data = env.to_mujoco(first.state, looks)
+        model, data = env.to_mujoco(first.state, visuals)
         handle = mujoco.viewer.launch_passive(model, data)
     except Exception as error:  # GLFW and X fail in many ways
         raise ConfigError(
@@ -185,7 +185,7 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
     pictures, labels, lasts = [], [], []
     for number in range(config.episodes):
         frames = player.episode(config.seed + number)
-        frames = watch(env, frames, config.looks) if config.viewer else list(frames)
+        frames = watch(env, frames, config.visuals) if config.viewer else list(frames)
         last = frames[-1]
         force = sum(frame.force for frame in frames) / max(1, last.step)
         done = "success" if last.success else "no success"
@@ -213,14 +213,16 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
 def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(EnjoyConfig, prog="python -m train.enjoy", args=arguments)
-    jax.config.update("jax_platforms", "cpu")  # one world: the accelerator would only be slower
+    jax.config.update(
+        "jax_platforms", "cpu"
+    )  # one environment: the accelerator would only be slower
     warnings.simplefilter("default")
     try:
         _check_outputs(config)
         env = make(config.env_name, config.impl)  # first: it knows which ids there are
-        files = find_policies(config.env_name, config.load_dir, config.policy, config.person_policy)
-        if config.looks != "primitives":  # before anything is compiled
-            check_looks(config.looks, env.robot)
+        files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
+        if config.visuals != "primitives":  # before anything is compiled
+            check_visuals(config.visuals, env.robot)
         play(config, env, load_policies(files, env, config.any_env))
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""The few things that training asks of an environment: worlds, and who sees and moves what."""
+"""The few things that training asks of an environment: environments, and who sees and moves what."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def make_env(env_name: str, impl: str = "auto") -> Any:
 
 
 def vectorize(env: Any, num_envs: int) -> Any:
-    """``num_envs`` auto-resetting worlds of an environment.
+    """``num_envs`` auto-resetting environments of an environment.
 
     An environment that has a ``vectorize(num_envs)`` of its own is asked itself.
     """
@@ -31,7 +31,7 @@ def vectorize(env: Any, num_envs: int) -> Any:
 
 
 def programs(env: Any) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """``reset`` and ``step`` of one world, compiled; an environment that has ``programs()`` makes them."""
+    """``reset`` and ``step`` of one environment, compiled; an environment that has ``programs()`` makes them."""
     if hasattr(env, "programs"):
         return env.programs()
     return jax.jit(env.reset), jax.jit(env.step)
@@ -95,10 +95,10 @@ def parts(env: Any) -> dict[str, Part]:
     from agym_jax import observe
 
     seen, moved = env.observation_sizes["robot"], env.action_sizes["robot"]
-    robot, person = (observe.layout_version(r) for r in (env.task.robot_obs, env.task.person_obs))
+    robot, human = (observe.layout_version(r) for r in (env.task.robot_obs, env.task.human_obs))
     return {
         "robot": Part(slice(0, seen), slice(0, moved), robot),
-        "person": Part(slice(seen, n), slice(moved, m), person),
+        "human": Part(slice(seen, n), slice(moved, m), human),
         "joint": whole,
     }
 

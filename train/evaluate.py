@@ -17,15 +17,15 @@ import jax
 import jax.numpy as jnp
 import tyro
 
+from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
-from train.evaluation.agents import TREES, AnyPolicy, baseline_policy, find_policies, load_policies
-from train.evaluation.alone import evaluate_alone
 from train.configs import Count
 from train.envs import make_env, vectorize
 from train.errors import ConfigError
-from agym_jax.data.npz import check_writable
-from train.runs.record import append_record, record
+from train.evaluation.agents import TREES, AnyPolicy, baseline_policy, find_policies, load_policies
+from train.evaluation.alone import evaluate_alone
 from train.evaluation.score import EvaluationResult, add_step, result_of, zero_sums
+from train.runs.record import append_record, record
 
 
 class Evaluator:
@@ -54,7 +54,7 @@ class Evaluator:
         return result_of(self.env.name, sums, time.perf_counter() - start)
 
     def _run(self, policy: Any, key: jax.Array, deterministic: bool) -> dict[str, jax.Array]:
-        """Sums over the first episode of each world."""
+        """Sums over the first episode of each environment."""
         venv = self._venv
         key_reset, key_steps = jax.random.split(key)
         going = jnp.ones(venv.num_envs, jnp.float32)
@@ -112,7 +112,7 @@ class EvaluateConfig:
     """--save-dir of a training run; without it and --policy, the policy shipped with agym_jax."""
     policy: str | None = None
     """A policy file, or "zero" or "random"; the robot's, where there is one for each agent."""
-    person_policy: str | None = None
+    human_policy: str | None = None
     """The same for a person who acts; without it, the one that lies beside the robot's."""
     num_episodes: Count = 100
     """Episodes, all side by side."""
@@ -121,7 +121,7 @@ class EvaluateConfig:
     non_det: bool = False
     """Sample actions instead of taking the mode."""
     impl: str = "auto"
-    """Physics: "jax", "warp" or "auto"; "native": one world after another on C MuJoCo."""
+    """Physics: "jax", "warp" or "auto"; "native": one environment after another on C MuJoCo."""
     any_env: bool = False
     """Accept a policy of another environment with the same observation layout."""
     json: str | None = None
@@ -135,7 +135,7 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
         if config.json:
             check_writable(Path(config.json).parent, "Choose another file with --json.")
         env = make(config.env_name, config.impl)  # first: it knows which ids there are
-        files = find_policies(config.env_name, config.load_dir, config.policy, config.person_policy)
+        files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
         policy = load_policies(files, env, config.any_env)
         result = evaluate(
             env, policy, config.num_episodes, config.seed, deterministic=not config.non_det
@@ -146,11 +146,11 @@ def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any]
     print(result.table())
     if config.json:
         trained = dict(policy.info)
-        person = {"person_policy": files.person} if files.person else {}
+        human = {"human_policy": files.human} if files.human else {}
         line = record(
             "evaluation",
             policy=files.robot,
-            **person,
+            **human,
             policy_commit=trained.get("commit"),
             policy_env_steps=trained.get("env_steps"),
             seed=config.seed,

@@ -9,11 +9,11 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from train.learning.algorithm import OneLearner
-from train.configs import PPOConfig
-from train.runs.curve import Row
-from train.envs import make_env, refuse_active_human
 from agym_jax.policy.policy import Policy
+from train.configs import PPOConfig
+from train.envs import make_env, refuse_active_human
+from train.learning.algorithm import OneLearner
+from train.runs.curve import Row
 from train.runs.progress import Progress
 from train.runs.result import TrainResult
 from train.runs.session import Policies, command_line, run_session, settle

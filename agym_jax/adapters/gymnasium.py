@@ -1,9 +1,9 @@
-"""Every environment as a ``gymnasium.Env``: one world, NumPy in and out, a fresh person each episode.
+"""Every environment as a ``gymnasium.Env``: one world, NumPy in and out, a fresh human each episode.
 
     import agym_jax, gymnasium
     env = gymnasium.make("ScratchItchJaco-v0", render_mode="rgb_array")
 
-Training belongs on ``agym_jax.wrappers.vectorize``, which steps thousands of worlds at once; this is
+Training belongs on ``agym_jax.wrappers.vectorize``, which steps thousands of envs at once; this is
 for looking, for scripts, and for code that knows only gymnasium. On a CPU the physics is C MuJoCo's, so
 that the first step comes within seconds; ``impl="jax"`` is the one that is trained on, in one world.
 
@@ -23,11 +23,11 @@ from gymnasium import spaces
 
 import agym_jax
 from agym_jax.errors import ActionError, AgymError, did_you_mean
-from agym_jax.rendering.meshes import check_looks
-from agym_jax.human.population import People
-from agym_jax.sim.physics import choose_impl
+from agym_jax.human.population import Population
 from agym_jax.registry import parse
+from agym_jax.rendering.meshes import check_visuals
 from agym_jax.rendering.render import Renderer
+from agym_jax.sim.physics import choose_impl
 
 RENDER_MODES = ("rgb_array",)
 
@@ -45,13 +45,13 @@ class _Programs(NamedTuple):
 
 
 @cache
-def _programs(env_id: str, impl: str, people: People | None) -> _Programs:
-    env = agym_jax.make(env_id, impl=choose_impl(impl, one_world=True), people=people)
+def _programs(env_id: str, impl: str, humans: Population | None) -> _Programs:
+    env = agym_jax.make(env_id, impl=choose_impl(impl, single_env=True), humans=humans)
     return _Programs(env, *env.programs())
 
 
 class GymnasiumEnv(gymnasium.Env):
-    """One world of an environment.
+    """One environment of an environment.
 
     Episodes are truncated after 200 steps, as all of Assistive Gym's are; they terminate only when
     the physics fails. ``info`` has Assistive Gym's keys and the reward's terms.
@@ -60,11 +60,11 @@ class GymnasiumEnv(gymnasium.Env):
         env_id: as in ``agym_jax.list_envs()``.
         render_mode: ``"rgb_array"``, or None for no pictures.
         impl: physics, see ``agym_jax.make``; ``"auto"`` is ``"native"`` on a CPU.
-        people: the population, see ``agym_jax.make``.
+        humans: the population, see ``agym_jax.make``.
         width: of pictures [pixels].
         height: of pictures [pixels].
         camera: name or number of the camera.
-        looks: of the robot in pictures, ``"primitives"`` or ``"meshes"``, see ``agym_jax.rendering.meshes``.
+        visuals: of the robot in pictures, ``"primitives"`` or ``"meshes"``, see ``agym_jax.rendering.meshes``.
 
     Raises:
         UnknownNameError: there is no such id, or there are no such looks.
@@ -81,19 +81,19 @@ class GymnasiumEnv(gymnasium.Env):
         env_id: str,
         render_mode: str | None = None,
         impl: str = "auto",
-        people: People | None = None,
+        humans: Population | None = None,
         width: int = 480,
         height: int = 360,
         camera: str | int = "front",
-        looks: str = "primitives",
+        visuals: str = "primitives",
     ):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise RenderModeError(
                 f"{env_id} has no render mode {render_mode!r}. {did_you_mean(render_mode, RENDER_MODES)}"
             )
-        check_looks(looks, parse(env_id).robot)
-        self._programs = _programs(env_id, impl, people)
-        self._looks = looks
+        check_visuals(visuals, parse(env_id).robot)
+        self._programs = _programs(env_id, impl, humans)
+        self._looks = visuals
         self.render_mode = render_mode
         self._view = (width, height, camera)
         env = self._programs.env
@@ -102,7 +102,7 @@ class GymnasiumEnv(gymnasium.Env):
         self._lengths = {
             f"{kind}_{agent}_len": sizes.get(part, 0)
             for kind, sizes in (("obs", env.observation_sizes), ("action", env.action_sizes))
-            for agent, part in (("robot", "robot"), ("human", "person"))
+            for agent, part in (("robot", "robot"), ("human", "human"))
         }
         self._state: Any = None
         self._over = True
@@ -206,7 +206,7 @@ class GymnasiumEnv(gymnasium.Env):
 
     def _info(self, metrics: dict[str, np.ndarray]) -> dict[str, Any]:
         return {
-            "total_force_on_human": float(metrics["force/on_person"]),
+            "total_force_on_human": float(metrics["force/on_human"]),
             "task_success": int(metrics["success"] > 0),
             "reward_terms": {
                 name.removeprefix("reward/"): float(value)

@@ -1,4 +1,4 @@
-"""The environments with a person who acts as a ``pettingzoo.ParallelEnv``: agents robot and person.
+"""The environments with a human who acts as a ``pettingzoo.ParallelEnv``: agents robot and human.
 
     from agym_jax.adapters.pettingzoo import PettingZooEnv
     env = PettingZooEnv("ScratchItchJacoHuman-v0", render_mode="rgb_array")
@@ -24,7 +24,7 @@ from agym_jax.registry import parse
 
 
 class PettingZooEnv(ParallelEnv):
-    """One world of an environment in which robot and person act.
+    """One environment of an environment in which robot and person act.
 
     Episodes are truncated for both after 200 steps; they terminate only when the physics fails.
 

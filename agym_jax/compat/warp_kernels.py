@@ -29,8 +29,8 @@ def compile_kernels(model: mujoco.MjModel, rows: int, contacts: int, warn_overfl
 
     Args:
         model: with the solver's limits as they will be.
-        rows: of constraints, for each world.
-        contacts: for each world.
+        rows: of constraints, for each environment.
+        contacts: for each environment.
         warn_overflow: as in MuJoCo Warp's options.
     """
     import warp

@@ -2,7 +2,7 @@
 
 Called by JAX, Warp wraps JAX's stream in a ``warp.Stream``, which registers it, and unregisters it when it is
 deleted. Mostly that is at the end of the call. But where Warp makes a new kernel in the call, as MuJoCo
-Warp does for a new number of worlds, ``warp.func`` keeps its own frame, and so the frames of all its callers,
+Warp does for a new number of environments, ``warp.func`` keeps its own frame, and so the frames of all its callers,
 until the garbage collector comes. If that is in a later call, the stream is unregistered under its hands:
 "Warp error: unknown stream". So ended, on an H200, evaluations that followed a training in the same process (Warp
 1.18). ``tests/test_warp_streams.py`` fails when Warp no longer keeps frames; delete this file then.

@@ -186,8 +186,8 @@ def _cells(found: dict[str, Any]) -> list[str]:
 
 def main(argv: list[str] | None = None) -> int:
     """Command line: build banks, and report on them."""
-    from agym_jax.registry import parse
     from agym_jax.offline.base_search import search
+    from agym_jax.registry import parse
 
     parser = argparse.ArgumentParser(
         prog="python -m agym_jax.data.banks", description=__doc__,

@@ -69,7 +69,7 @@ jax.tree_util.register_dataclass(
 )
 
 
-def load_arm_limits(name: str = "person/arm_limits.npz") -> ArmLimits:
+def load_arm_limits(name: str = "human/arm_limits.npz") -> ArmLimits:
     """Reads the fitted weights from the assets, as NumPy float32.
 
     Raises:

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from agym_jax.spec import PersonSpec
+from agym_jax.spec import HumanSpec
 
 HOLD_STIFFNESS = 5.0
 """Of a still person of full strength [N m/rad]: the 1 N m bound is reached 0.2 rad off the pose."""
@@ -40,13 +40,13 @@ def is_moving(tremor: jax.Array, active: bool) -> jax.Array:
     return jnp.logical_or(active, jnp.any(tremor != 0.0))
 
 
-def damping(spec: PersonSpec, strength: jax.Array, moving: jax.Array) -> jax.Array:
+def damping(spec: HumanSpec, strength: jax.Array, moving: jax.Array) -> jax.Array:
     """Damping of every controllable joint [N m s/rad] ()."""
     move = MOVE_DAMPING * spec.max_torque * strength
     still = {
         "hold": HOLD_STIFFNESS / spec.hold_rate * spec.max_torque * strength,
         "limp": 0.0,
-    }.get(spec.still, FROZEN_DAMPING)
+    }.get(spec.passive_mode, FROZEN_DAMPING)
     return TISSUE_DAMPING + jnp.where(moving, move, still)
 
 
@@ -71,7 +71,7 @@ class Muscles(NamedTuple):
         return passive + xp.minimum(xp.maximum(wanted, -self.bound), self.bound)
 
 
-def muscles_of(spec: PersonSpec, strength: jax.Array, moving: jax.Array) -> Muscles:
+def muscles_of(spec: HumanSpec, strength: jax.Array, moving: jax.Array) -> Muscles:
     """A person's muscles.
 
     Args:
@@ -79,7 +79,7 @@ def muscles_of(spec: PersonSpec, strength: jax.Array, moving: jax.Array) -> Musc
         strength: of the person ().
         moving: from ``is_moving`` ().
     """
-    holds = 1.0 if spec.still == "hold" else 0.0
+    holds = 1.0 if spec.passive_mode == "hold" else 0.0
     rate = jnp.where(moving, spec.move_rate, holds * spec.hold_rate)
     seated = not spec.postures  # in bed the mattress bears the arm
     return Muscles(

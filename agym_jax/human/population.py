@@ -18,7 +18,7 @@ IMPAIRMENTS = ("none", "limits", "weakness", "tremor")
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Person:
+class Human:
     """The person of one episode. All leaves are float32, so a batch holds as many people."""
 
     sex: jax.Array  # 0 male, 1 female                                         ()
@@ -35,7 +35,7 @@ class Person:
 
 
 @dataclass(frozen=True)
-class People:
+class Population:
     """The population that episodes draw from.
 
     Attributes:
@@ -61,40 +61,40 @@ class People:
                 raise UnknownNameError("impairment", name, IMPAIRMENTS)
 
 
-def draw_person(
+def sample_human(
     key: jax.Array,
-    people: People,
+    humans: Population,
     n_joints: int,
     tremor_amplitude: float,
     impairments: tuple[str, ...],
-) -> Person:
+) -> Human:
     """Draw one person.
 
     Args:
         key: PRNG key.
-        people: the population.
+        humans: the population.
         n_joints: controllable joints, each with a tremor amplitude of its own.
         tremor_amplitude: bound of the amplitudes [rad].
-        impairments: the task's, used unless ``people`` names its own.
+        impairments: the task's, used unless ``humans`` names its own.
     """
     keys = jax.random.split(key, 7)
-    kinds = people.impairments if people.impairments is not None else impairments
+    kinds = humans.impairments if humans.impairments is not None else impairments
     kind = jnp.array([IMPAIRMENTS.index(k) for k in kinds])[
         jax.random.randint(keys[0], (), 0, len(kinds))
     ]
-    if people.sizes == "ag":
+    if humans.sizes == "ag":
         sex = jax.random.bernoulli(keys[1]).astype(jnp.float32)
         stature = girth = jnp.float32(1.0)
     else:
-        sex = jax.random.uniform(keys[1], (), minval=people.blend[0], maxval=people.blend[1])
-        low, high = people.stature
+        sex = jax.random.uniform(keys[1], (), minval=humans.blend[0], maxval=humans.blend[1])
+        low, high = humans.stature
         stature = jax.random.uniform(keys[2], (), minval=low, maxval=high)
-        low, high = people.girth
+        low, high = humans.girth
         girth = jax.random.uniform(keys[3], (), minval=low, maxval=high)
     limits = jax.random.uniform(keys[4], (), minval=0.5, maxval=1.0)
     strength = jax.random.uniform(keys[5], (), minval=0.25, maxval=1.0)
     shake = jax.random.uniform(keys[6], (n_joints,), minval=-1.0, maxval=1.0)
-    return Person(
+    return Human(
         sex=sex,
         stature=stature,
         girth=girth,

@@ -13,11 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from agym_jax.human import anthropometry
-from agym_jax.human import body
-from agym_jax.human.population import Person
+from agym_jax.human import anthropometry, body
+from agym_jax.human.population import Human
 from agym_jax.human.posture import Postures, load_postures
-from agym_jax.spec import PersonSpec
+from agym_jax.spec import HumanSpec
 
 STATURE, GIRTH = 3.0, 5.0
 """Weights of differences of size, beside 1 for sex: the arms of people between the bank's sizes then
@@ -34,7 +33,7 @@ CHEST_Y = 0.03  # AG human_creation.py: the seated chest is at (0, 0.03, 0.89 or
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Pose:
+class BodyPose:
     """Of a whole person."""
 
     root_pos: Any  # chest, world [m]                                        (3,)
@@ -42,25 +41,25 @@ class Pose:
     angles: Any  # every joint, in the order of body.JOINTS [rad]            (41,)
 
 
-def draw_pose(key: jax.Array, spec: PersonSpec, person: Person) -> Pose:
+def sample_pose(key: jax.Array, spec: HumanSpec, human: Human) -> BodyPose:
     """Draw how a person sits, or lies as gravity left somebody of like size and limits.
 
     Args:
         key: PRNG key.
         spec: the task's fixed angles and ranges, or its bank of settled postures.
-        person: who.
+        human: who.
     """
     if not spec.postures:
         widths = np.array([spec.pose_range.get(j, 0.0) for j in body.JOINTS], np.float32)
         noise = widths * jax.random.uniform(key, widths.shape, minval=-1.0, maxval=1.0)
         pose = seated(
-            spec, person.dims, person.sex, person.stature, person.girth, jnp, person.limit_scale
+            spec, human.dims, human.sex, human.stature, human.girth, jnp, human.limit_scale
         )
-        return Pose(pose.root_pos, pose.root_quat, pose.angles + noise)
+        return BodyPose(pose.root_pos, pose.root_quat, pose.angles + noise)
     bank = load_postures(spec.postures)
-    apart = unlikeness(bank, person.sex, person.stature, person.girth, person.limit_scale, jnp)
+    apart = unlikeness(bank, human.sex, human.stature, human.girth, human.limit_scale, jnp)
     row = jnp.argmin(apart + jax.random.uniform(key, apart.shape, maxval=TIE))
-    return lying(bank, row, person.dims, jnp)
+    return lying(bank, row, human.dims, jnp)
 
 
 def unlikeness(
@@ -74,14 +73,14 @@ def unlikeness(
 
 
 def seated(
-    spec: PersonSpec,
+    spec: HumanSpec,
     d: anthropometry.Dims,
     sex: Any,
     stature: Any,
     girth: Any,
     xp: Any,
     limit_scale: Any = 1.0,
-) -> Pose:
+) -> BodyPose:
     """The task's fixed pose, with the chest where this person's is when the thighs rest on the seat.
 
     An upper arm leans forward by what the elbow cannot bend, so that the forearm stays level.
@@ -96,24 +95,24 @@ def seated(
         (least, _), *_ = body.joint_limits((f"{side}_elbow_x",), limit_scale, xp)
         lean = -xp.maximum(least - elbow, 0.0)
         angles = angles + lean * (np.arange(len(order)) == order.index(f"{side}_shoulder_x"))
-    return Pose(root, xp.asarray((1.0, 0.0, 0.0, 0.0)) + zero, angles + zero)
+    return BodyPose(root, xp.asarray((1.0, 0.0, 0.0, 0.0)) + zero, angles + zero)
 
 
-def lying(bank: Postures, row: Any, d: anthropometry.Dims, xp: Any) -> Pose:
+def lying(bank: Postures, row: Any, d: anthropometry.Dims, xp: Any) -> BodyPose:
     """A row of a bank, raised or lowered by as much as this person's chest is thicker or thinner."""
     at = lambda x: xp.asarray(x)[row]  # noqa: E731
     settled = anthropometry.dims(at(bank.sex), at(bank.stature), at(bank.girth))
     up = xp.asarray((0.0, 0.0, 1.0)) * (d.chest_r - settled.chest_r)
-    return Pose(at(bank.root_pos) + up, at(bank.root_quat), at(bank.angles))
+    return BodyPose(at(bank.root_pos) + up, at(bank.root_quat), at(bank.angles))
 
 
 def typical(
-    spec: PersonSpec,
+    spec: HumanSpec,
     sex: float,
     stature: float = 1.0,
     girth: float = 1.0,
     limit_scale: float = 1.0,
-) -> Pose:
+) -> BodyPose:
     """A pose to build a scene with, in NumPy."""
     d = anthropometry.dims(sex, stature, girth)
     if not spec.postures:
@@ -123,7 +122,7 @@ def typical(
     return lying(bank, int(row), d, np)
 
 
-def posed_joints(spec: PersonSpec) -> tuple[str, ...]:
+def posed_joints(spec: HumanSpec) -> tuple[str, ...]:
     """Joints that a pose may bend: the others are 0, or at the limit nearest to it."""
     if spec.postures:
         return tuple(body.JOINTS)
@@ -132,8 +131,8 @@ def posed_joints(spec: PersonSpec) -> tuple[str, ...]:
 
 
 def rows(
-    spec: PersonSpec,
-    pose: Pose,
+    spec: HumanSpec,
+    pose: BodyPose,
     d: anthropometry.Dims,
     moving: tuple[str, ...],
     limit_scale: Any,
@@ -145,7 +144,7 @@ def rows(
     return body.fields(d, angles, moving, limit_scale, pose.root_pos, pose.root_quat, xp)
 
 
-def start_angles(pose: Pose, joints: tuple[str, ...], limit_scale: Any, xp: Any) -> Any:
+def start_angles(pose: BodyPose, joints: tuple[str, ...], limit_scale: Any, xp: Any) -> Any:
     """Angles of the moving joints, within this person's limits [rad] (n,)."""
     if not joints:
         return xp.zeros(0)

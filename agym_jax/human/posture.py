@@ -15,8 +15,7 @@ import numpy as np
 
 from agym_jax.data.assets import asset_root
 from agym_jax.errors import MissingPostureError
-from agym_jax.human import anthropometry
-from agym_jax.human import body
+from agym_jax.human import anthropometry, body
 
 Array = Any
 
@@ -60,10 +59,10 @@ def posture_path(name: str) -> Path:
     return asset_root() / "postures" / f"{name}.npz"
 
 
-def bank_of(people: Sequence[Postures]) -> Postures:
+def bank_of(humans: Sequence[Postures]) -> Postures:
     """Stack K people, each within that person's limits, into a bank."""
     rows = {
-        f.name: np.array([getattr(p, f.name) for p in people], np.float32) for f in fields(Postures)
+        f.name: np.array([getattr(p, f.name) for p in humans], np.float32) for f in fields(Postures)
     }
     for angles, limit_scale in zip(rows["angles"], rows["limit_scale"], strict=True):
         # float32 may round a limit outwards
@@ -72,11 +71,11 @@ def bank_of(people: Sequence[Postures]) -> Postures:
     return Postures(**rows)
 
 
-def link_positions(person: Postures) -> dict[str, np.ndarray]:
+def link_positions(human: Postures) -> dict[str, np.ndarray]:
     """Where every link of one person is, world [m] (3,)."""
-    angles = dict(zip(body.JOINTS, person.angles, strict=True))
+    angles = dict(zip(body.JOINTS, human.angles, strict=True))
     rows = body.fields(
-        person.dims, angles, (), person.limit_scale, person.root_pos, person.root_quat, np
+        human.dims, angles, (), human.limit_scale, human.root_pos, human.root_quat, np
     )
     return dict(zip(body.LINK, rows.body_pos, strict=True))
 

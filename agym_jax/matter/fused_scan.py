@@ -1,7 +1,7 @@
-"""A loop over the moments of a world, as one GPU kernel with one program a world.
+"""A loop over the moments of an environment, as one GPU kernel with one program an environment.
 
-So the state of a world stays in registers for the whole loop. XLA launches several kernels for every turn of a
-loop, and each of them reads and writes the state of all worlds.
+So the state of an environment stays in registers for the whole loop. XLA launches several kernels for every turn of a
+loop, and each of them reads and writes the state of all environments.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ SumOver = Callable[[Callable[[Any], Any], Any], Any]
 their sums over all rows, each (n,)."""
 
 WARP, MOST_WARPS = 32, 8
-"""Threads in a warp, and warps that work on one world, at most: one thread for each entry of the state's vectors."""
-PIECE = 256
+"""Threads in a warp, and warps that work on one environment, at most: one thread for each entry of the state's vectors."""
+TILE = 256
 """Entries of a matrix (some, n) that a kernel looks at together: 4 of each thread for 64 particles."""
-ROOM = 16
+SCRATCH_ROWS = 16
 """Vectors that fit on a kernel's desk (see ``kernel``)."""
 
 
-def walk(body: Body, carry: Any, moments: Any, still: Any) -> Any:
+def fused_scan(body: Body, carry: Any, moments: Any, still: Any) -> Any:
     """Carry a state from moment to moment.
 
     On an NVIDIA GPU it is one kernel, if all sizes are powers of two; everywhere else, and in derivatives, XLA
@@ -88,10 +88,10 @@ def _jvp_of_xla(
 
 
 def kernel(body: Body, carry: Any, moments: Any, still: Any, *, interpret: bool = False) -> Any:
-    """What ``walk`` does on an NVIDIA GPU; with ``interpret``, step by step anywhere.
+    """What ``fused_scan`` does on an NVIDIA GPU; with ``interpret``, step by step anywhere.
 
     Sums over rows that are more than a piece go piece by piece: the rows are laid on a desk, in memory that all
-    threads of the world's program can read. (A register is only read by its own thread.)
+    threads of the environment's program can read. (A register is only read by its own thread.)
     """
     from jax.experimental import pallas  # takes half a second, and only matter needs it
     from jax.experimental.pallas import triton
@@ -99,7 +99,7 @@ def kernel(body: Body, carry: Any, moments: Any, still: Any, *, interpret: bool 
     state, motion, rest = _Layout(carry), _Layout(moments), _Layout(still)
     starts, moving, resting = state.pack(carry, 0), motion.pack(moments, 1), rest.pack(still, 0)
     count = _longest(carry)
-    piece, warps = max(PIECE // count, 1), min(max(count // WARP, 1), MOST_WARPS)
+    piece, warps = max(TILE // count, 1), min(max(count // WARP, 1), MOST_WARPS)
 
     def program(*refs: Any) -> None:
         first, second, third = len(starts), len(starts + moving), len(starts + moving + resting)
@@ -114,9 +114,9 @@ def kernel(body: Body, carry: Any, moments: Any, still: Any, *, interpret: bool 
             size = _longest(rows)
             if size <= piece:
                 return at_once(function, rows)
-            if len(leaves) > ROOM:
+            if len(leaves) > SCRATCH_ROWS:
                 raise ValueError(
-                    f"The desk of a kernel has room for {ROOM} vectors, got {len(leaves)}."
+                    f"The desk of a kernel has room for {SCRATCH_ROWS} vectors, got {len(leaves)}."
                 )
             barrier()  # all have read what was there before
             for i, x in enumerate(leaves):
@@ -146,7 +146,7 @@ def kernel(body: Body, carry: Any, moments: Any, still: Any, *, interpret: bool 
     *made, _ = pallas.pallas_call(
         program,
         out_shape=[jax.ShapeDtypeStruct(x.shape, x.dtype) for x in starts]
-        + [jax.ShapeDtypeStruct((ROOM, sizes), jnp.float32)],
+        + [jax.ShapeDtypeStruct((SCRATCH_ROWS, sizes), jnp.float32)],
         compiler_params=triton.CompilerParams(num_warps=warps, num_stages=1),
         interpret=interpret,
     )(*starts, *moving, *resting)

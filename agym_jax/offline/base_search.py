@@ -21,12 +21,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from agym_jax.errors import SpecError
+from agym_jax.human import body, population
+from agym_jax.human import pose as human_pose
 from agym_jax.offline import kinematics
 from agym_jax.offline.clearance import Clearance
-from agym_jax.errors import SpecError
-from agym_jax.human import body
-from agym_jax.human import population as draw
-from agym_jax.human import pose as person_pose
 from agym_jax.sim.scene import build_scene
 from agym_jax.spec import RobotSpec, Task
 from agym_jax.state import Placement
@@ -204,10 +203,10 @@ def _draw_goals(task: Task, robot: RobotSpec, n_arms: int, n: int, seed: int) ->
             f"{task.name}.start must give one row [m] for each arm, of shape ({n_arms}, 3); with "
             f"{robot.name} it gives {start.shape[1:]}."
         )
-    people = _points(task, [x for names in task.goals for x in names], 64, seed)
+    humans = _points(task, [x for names in task.goals for x in names], 64, seed)
     who = rng.integers(0, 64, n)
     points = tuple(
-        np.stack([people[name][who] for name in names], axis=1) if names else np.zeros((n, 0, 3))
+        np.stack([humans[name][who] for name in names], axis=1) if names else np.zeros((n, 0, 3))
         for names in _goal_names(task, n_arms)
     )
     return Goals(base, yaw, start[:, :n_arms], points)
@@ -215,28 +214,32 @@ def _draw_goals(task: Task, robot: RobotSpec, n_arms: int, n: int, seed: int) ->
 
 def _points(task: Task, names: list[str], count: int, seed: int) -> dict[str, np.ndarray]:
     """Where those points of drawn people are, world [m] name -> (count, 3)."""
-    spec = task.person
+    spec = task.human
 
-    def one(key: jax.Array) -> tuple[draw.Person, person_pose.Pose]:
-        key_person, key_pose = jax.random.split(key)
-        person = draw.draw_person(
-            key_person, draw.People(), len(spec.joints), spec.tremor_amplitude, spec.impairments
+    def one(key: jax.Array) -> tuple[population.Human, human_pose.BodyPose]:
+        key_human, key_pose = jax.random.split(key)
+        human = population.sample_human(
+            key_human,
+            population.Population(),
+            len(spec.joints),
+            spec.tremor_amplitude,
+            spec.impairments,
         )
-        return person, person_pose.draw_pose(key_pose, spec, person)
+        return human, human_pose.sample_pose(key_pose, spec, human)
 
     keys = jax.random.split(jax.random.PRNGKey(seed), count)
     drawn = jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(keys))
     order = [link.name for link in body.LINKS]
     found: dict[str, list] = {name: [] for name in names}
     for i in range(count):
-        person, pose = jax.tree.map(lambda x: x[i], drawn)  # noqa: B023
+        human, pose = jax.tree.map(lambda x: x[i], drawn)  # noqa: B023
         # nothing moves here, so every link is posed in the world
-        rows = person_pose.rows(spec, pose, person.dims, (), person.limit_scale, np)
+        rows = human_pose.rows(spec, pose, human.dims, (), human.limit_scale, np)
         for name in found:
             row = order.index("head" if name == "mouth" else name)
             point = np.array(rows.body_pos[row])
             if name == "mouth":
-                local = np.array([0.0, person.dims.mouth_y, person.dims.mouth_z])
+                local = np.array([0.0, human.dims.mouth_y, human.dims.mouth_z])
                 point = point + kinematics.rotation_matrix(rows.body_quat[row]) @ local
             found[name].append(point)
     return {name: np.array(rows) for name, rows in found.items()}

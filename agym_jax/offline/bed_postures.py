@@ -34,8 +34,8 @@ import numpy as np
 from agym_jax.data.assets import asset_path
 from agym_jax.errors import AgymError, UnknownNameError
 from agym_jax.human import body
-from agym_jax.human.population import People
-from agym_jax.human.model import build as build_person
+from agym_jax.human.model import build as build_human
+from agym_jax.human.population import Population
 from agym_jax.human.posture import Postures, bank_of, link_positions, save_postures
 
 LINKS, ALL, ARM = tuple(body.LINK), tuple(body.JOINTS), body.RIGHT_ARM
@@ -107,12 +107,12 @@ def may_touch(a: str, b: str) -> bool:
 
 
 def lying_model(
-    person: Postures, free: tuple[str, ...], friction: float, falling: bool = False
+    human: Postures, free: tuple[str, ...], friction: float, falling: bool = False
 ) -> mujoco.MjModel:
     """One person on the bed.
 
     Args:
-        person: one row; the joints that do not move have its angles.
+        human: one row; the joints that do not move have its angles.
         free: joints that move.
         friction: of the bed.
         falling: the chest is free.
@@ -123,13 +123,13 @@ def lying_model(
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 1.0 if falling else STICTION
-    carrier = spec.worldbody.add_body(name="root", pos=person.root_pos, quat=person.root_quat)
+    carrier = spec.worldbody.add_body(name="root", pos=human.root_pos, quat=human.root_quat)
     if falling:
         carrier.add_freejoint()
-    angles, d = dict(zip(ALL, person.angles, strict=True)), person.dims
-    rows = body.fields(d, angles, free, person.limit_scale, np.zeros(3), np.eye(4)[0], np)
+    angles, d = dict(zip(ALL, human.angles, strict=True)), human.dims
+    rows = body.fields(d, angles, free, human.limit_scale, np.zeros(3), np.eye(4)[0], np)
     spec.attach(
-        build_person(rows, free, d, LINKS, False), frame=carrier.add_frame(), prefix="person/"
+        build_human(rows, free, d, LINKS, False), frame=carrier.add_frame(), prefix="human/"
     )
     bed = mujoco.MjSpec.from_file(str(asset_path("furniture/bed.xml")))
     on_bed = [g.name for g in bed.geoms if g.name.endswith("_collision")]
@@ -137,14 +137,14 @@ def lying_model(
     moving = LINKS if falling else ARM_LINKS if free else ()
     pairs = [(x, f"bed/{g}", friction) for x in moving for g in on_bed]
     pairs += [
-        (a, f"person/{b}", SELF_FRICTION)
+        (a, f"human/{b}", SELF_FRICTION)
         for i, a in enumerate(LINKS)
         for b in LINKS[i + 1 :]
         if may_touch(a, b) and (a in moving or b in moving)
     ]
     for a, b, mu in pairs:
         spec.add_pair(
-            geomname1=f"person/{a}", geomname2=b, condim=3, friction=[mu, mu, 0.005, 1e-4, 1e-4],
+            geomname1=f"human/{a}", geomname2=b, condim=3, friction=[mu, mu, 0.005, 1e-4, 1e-4],
             solref=FALL_SOLREF if falling else REST_SOLREF,
             solimp=FALL_SOLIMP if falling else REST_SOLIMP,
         )  # fmt: skip
@@ -156,56 +156,56 @@ def lying_model(
 
 
 def _qpos(model: mujoco.MjModel, joints: tuple[str, ...]) -> np.ndarray:
-    return np.array([model.joint(f"person/{n}").qposadr[0] for n in joints])
+    return np.array([model.joint(f"human/{n}").qposadr[0] for n in joints])
 
 
 def _clipped(angles: np.ndarray, joints: tuple[str, ...], limit_scale: float) -> np.ndarray:
     return np.clip(angles, *body.joint_limits(joints, limit_scale, np).T)
 
 
-def fall(person: Postures, how: Scenario, rng: np.random.Generator) -> Postures:
+def fall(human: Postures, how: Scenario, rng: np.random.Generator) -> Postures:
     """Drop a limp person onto the bed: the same one with the pose after the fall."""
-    angles = _clipped(rng.uniform(-SPREAD, SPREAD, len(ALL)), ALL, person.limit_scale)
-    person = replace(person, root_pos=np.array(how.start), root_quat=np.array(FACE_UP))
-    model = lying_model(person, ALL, how.friction[0], True)
+    angles = _clipped(rng.uniform(-SPREAD, SPREAD, len(ALL)), ALL, human.limit_scale)
+    human = replace(human, root_pos=np.array(how.start), root_quat=np.array(FACE_UP))
+    model = lying_model(human, ALL, how.friction[0], True)
     data, where = mujoco.MjData(model), _qpos(model, ALL)
     data.qpos[where] = angles
     mujoco.mj_step(model, data, round(FALL / STEP))
     quat = data.qpos[3:7] / np.linalg.norm(data.qpos[3:7])
-    angles = _clipped(data.qpos[where], ALL, person.limit_scale)
-    return replace(person, root_pos=data.qpos[:3].copy(), root_quat=quat, angles=angles)
+    angles = _clipped(data.qpos[where], ALL, human.limit_scale)
+    return replace(human, root_pos=data.qpos[:3].copy(), root_quat=quat, angles=angles)
 
 
-def rest_arm(person: Postures, how: Scenario) -> tuple[Postures, float]:
+def rest_arm(human: Postures, how: Scenario) -> tuple[Postures, float]:
     """Let one person's right arm come to rest while the body stays as it is.
 
     Returns:
         the person, and the arm's greatest joint speed at the end [rad/s].
     """
-    angles = dict(zip(ALL, person.angles, strict=True)) | how.arm
-    model = lying_model(person, ARM, how.friction[1])
+    angles = dict(zip(ALL, human.angles, strict=True)) | how.arm
+    model = lying_model(human, ARM, how.friction[1])
     data, where = mujoco.MjData(model), _qpos(model, ARM)
-    data.qpos[where] = _clipped(np.array([angles[j] for j in ARM]), ARM, person.limit_scale)
+    data.qpos[where] = _clipped(np.array([angles[j] for j in ARM]), ARM, human.limit_scale)
     for gravity in how.gravity:
         model.opt.gravity[2] = gravity
         for i in range(round(PATIENCE / STEP)):
             mujoco.mj_step(model, data)
             if (i + 1) * STEP >= FALL and i % 25 == 0 and np.abs(data.qvel).max() < STILL:
                 break
-    angles |= zip(ARM, _clipped(data.qpos[where], ARM, person.limit_scale), strict=True)
-    rested = replace(person, angles=np.array([angles[j] for j in ALL]))
+    angles |= zip(ARM, _clipped(data.qpos[where], ARM, human.limit_scale), strict=True)
+    rested = replace(human, angles=np.array([angles[j] for j in ALL]))
     return rested, float(np.abs(data.qvel).max())
 
 
-def clearances(person: Postures) -> dict[str, float]:
+def clearances(human: Postures) -> dict[str, float]:
     """Distance of every link of one person from the bed [m], negative inside it."""
-    model = lying_model(person, (), 1.0)
+    model = lying_model(human, (), 1.0)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     names = [model.geom(i).name for i in range(model.ngeom)]
     bed = [i for i, n in enumerate(names) if n.startswith("bed/") and n.endswith("_collision")]
     return {
-        x: min(mujoco.mj_geomDistance(model, data, model.geom(f"person/{x}").id, g, 0.5, None) for g in bed)
+        x: min(mujoco.mj_geomDistance(model, data, model.geom(f"human/{x}").id, g, 0.5, None) for g in bed)
         for x in LINKS
     }  # fmt: skip
 
@@ -221,19 +221,19 @@ def settle(
         rng: of the angles at the start.
     """
     how = SCENARIOS[name]
-    person = fall(Postures(*who, np.zeros(3), np.zeros(4), np.zeros(len(ALL))), how, rng)
-    if np.abs(person.root_pos[:2] - how.start[:2]).max() > STRAYED:
+    human = fall(Postures(*who, np.zeros(3), np.zeros(4), np.zeros(len(ALL))), how, rng)
+    if np.abs(human.root_pos[:2] - how.start[:2]).max() > STRAYED:
         return "fell off the bed"
-    person, speed = rest_arm(person, how)
+    human, speed = rest_arm(human, how)
     if speed >= STILL:
         return "not at rest"
-    if not how.arm and link_positions(person)["right_hand"][0] < OVERHANG:
+    if not how.arm and link_positions(human)["right_hand"][0] < OVERHANG:
         return "arm slid off the bed"
-    gap = clearances(person)
+    gap = clearances(human)
     if min(gap.values()) < -DEEPEST:
         return "penetrates the bed"
     floats = min(gap["chest"], gap["waist"], gap["hips"]) > FLOATING
-    return "floats" if floats else person
+    return "floats" if floats else human
 
 
 def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Counter]:
@@ -250,8 +250,8 @@ def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Cou
     Raises:
         AgymError: too few falls end well.
     """
-    rng, people, counts = np.random.default_rng(seed), People(sizes="continuous"), Counter()
-    ranges = people.blend, people.stature, people.girth
+    rng, humans, counts = np.random.default_rng(seed), Population(sizes="continuous"), Counter()
+    ranges = humans.blend, humans.stature, humans.girth
     rows: list[Postures] = []
     while len(rows) < 6 * each:
         part, i = divmod(len(rows), each)
@@ -271,7 +271,9 @@ def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Cou
 
 def main(argv: list[str] | None = None) -> int:
     """Command line: build banks."""
-    parser = argparse.ArgumentParser(prog="python -m agym_jax.offline.bed_postures", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m agym_jax.offline.bed_postures", description=__doc__
+    )
     build = parser.add_subparsers(required=True).add_parser("build", help="build banks of postures")
     build.add_argument("tasks", nargs="*", default=list(SCENARIOS), metavar="TASK")
     build.add_argument("--seed", type=int, default=0)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from agym_jax.human import pose as person_pose
+from agym_jax.human import pose as human_pose
 from agym_jax.sim.scene import compose
+from agym_jax.sim.validate import COLLISION
 from agym_jax.spec import RobotSpec, Task
 from agym_jax.state import Placement
-from agym_jax.sim.validate import COLLISION
 
 FAR = 0.1
 """Distances beyond this are not resolved [m]."""
@@ -19,28 +19,26 @@ class Clearance:
     """Least distances over both of AG's people, with every collision geom of the scene."""
 
     def __init__(self, task: Task, robot: RobotSpec):
-        moving = task.person.moving(active=False)
-        self.worlds = []
+        moving = task.human.moving(active=False)
+        self.envs = []
         for sex in (0.0, 1.0):
-            angles = person_pose.start_angles(
-                person_pose.typical(task.person, sex), moving, 1.0, np
-            )
+            angles = human_pose.start_angles(human_pose.typical(task.human, sex), moving, 1.0, np)
             world = _World(compose(task, robot, sex=sex, solid=True))
-            world.bend([f"person/{j}" for j in moving], angles)
-            self.worlds.append(world)
+            world.bend([f"human/{j}" for j in moving], angles)
+            self.envs.append(world)
         self.joints = [f"robot/{j}" for arm in robot.arms_for(task) for j in arm.joints]
 
     def outside(self, place: Placement) -> float:
         """Distance of robot and tools from person and furniture, at most FAR [m]."""
         nearest = FAR
-        for world in self.worlds:
+        for world in self.envs:
             world.pose(place, self.joints)
             nearest = min(nearest, world.least(world.outside, stop=0.0))
         return nearest
 
     def inside(self, place: Placement) -> float:
         """Distance of the moving arms and tools from each other and the rest of the robot [m]."""
-        world = self.worlds[0]
+        world = self.envs[0]
         world.pose(place, self.joints)
         return world.least(world.inside, stop=0.0)
 
@@ -55,7 +53,7 @@ class _World:
             i for i, n in enumerate(names) if n.startswith(prefix) and COLLISION in n
         ]
         robot = of("robot/", "tool")
-        rest = [i for i, n in enumerate(names) if n.startswith("person/")] + of("seat/")
+        rest = [i for i, n in enumerate(names) if n.startswith("human/")] + of("seat/")
         self.root = int(model.body_rootid[model.geom_bodyid[robot[0]]])
         self.outside = np.array([(a, b) for a in robot for b in rest])
         self.inside = self._inside(robot)

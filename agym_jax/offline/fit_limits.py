@@ -121,7 +121,7 @@ def main() -> None:
         description="Fits the arm-limit network to classifier samples."
     )
     parser.add_argument("samples", type=Path, metavar="SAMPLES.npz")
-    parser.add_argument("--out", type=Path, default=Path("assets/person/arm_limits.npz"))
+    parser.add_argument("--out", type=Path, default=Path("assets/human/arm_limits.npz"))
     parser.add_argument("--heldout-out", type=Path, help="write held-out samples for the tests")
     parser.add_argument("--hidden", type=int, nargs="+", default=[64, 64, 64])
     parser.add_argument("--teachers", type=int, default=4)

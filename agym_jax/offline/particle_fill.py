@@ -30,7 +30,14 @@ from jax import Array
 
 from agym_jax.data.assets import asset_root
 from agym_jax.errors import AgymError, UnknownNameError
-from agym_jax.matter.particles.solver import FOOD, WATER, Obstacles, Particles, ParticleSpec, advance
+from agym_jax.matter.particles.solver import (
+    FOOD,
+    WATER,
+    Obstacles,
+    Particles,
+    ParticleSpec,
+    advance,
+)
 from agym_jax.matter.shapes import no_boxes, no_capsules, rotation
 
 DOWN = (0.0, 0.0, -1.0)
@@ -40,7 +47,7 @@ JITTER = 5e-4  # of the grid [m]
 STILL = 0.01  # mean speed at which particles are at rest [m/s]
 
 
-class MissingSettledError(AgymError, FileNotFoundError):
+class MissingFillError(AgymError, FileNotFoundError):
     """A vessel without its bank of settled particles, or with a damaged one."""
 
 
@@ -75,20 +82,20 @@ FILLINGS = {
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Settled:
+class FillBank:
     """A bank of K arrangements of n particles, in the vessel's frame."""
 
     gravity_dir: Array | np.ndarray  # unit vectors in which gravity points (K, 3)
     pos: Array | np.ndarray  # centres [m]                                  (K, n, 3)
 
 
-def settled_path(name: str) -> Path:
+def fill_path(name: str) -> Path:
     """Where a vessel's bank is kept."""
     return asset_root() / "matter" / f"{name}.npz"
 
 
 @cache
-def load_settled(name: str) -> Settled:
+def load_fill(name: str) -> FillBank:
     """The bank of ``"spoon"`` or ``"cup"``, as NumPy arrays.
 
     Raises:
@@ -97,24 +104,27 @@ def load_settled(name: str) -> Settled:
     """
     if name not in FILLINGS:
         raise UnknownNameError("vessel", name, FILLINGS)
-    path, remedy = settled_path(name), f"Build it with: python -m agym_jax.offline.particle_fill {name}"
+    path, remedy = (
+        fill_path(name),
+        f"Build it with: python -m agym_jax.offline.particle_fill {name}",
+    )
     if not path.is_file():
-        raise MissingSettledError(f"There is no bank of settled particles {path}. {remedy}")
+        raise MissingFillError(f"There is no bank of settled particles {path}. {remedy}")
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as z:
-            bank = Settled(**{f.name: np.asarray(z[f.name], np.float32) for f in fields(Settled)})
+            bank = FillBank(**{f.name: np.asarray(z[f.name], np.float32) for f in fields(FillBank)})
     except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise MissingSettledError(f"{path} cannot be read ({error}). {remedy}") from error
+        raise MissingFillError(f"{path} cannot be read ({error}). {remedy}") from error
     rows, count = len(bank.gravity_dir), FILLINGS[name].spec.count
     if bank.gravity_dir.shape != (rows, 3) or bank.pos.shape != (rows, count, 3) or not rows:
-        raise MissingSettledError(
+        raise MissingFillError(
             f"{path} is damaged: directions {bank.gravity_dir.shape}, positions {bank.pos.shape} of "
             f"{count} particles. {remedy}"
         )
     return bank
 
 
-def fill(bank: Settled, vessel_pos_w: Array, vessel_quat_w: Array) -> Particles:
+def fill(bank: FillBank, vessel_pos_w: Array, vessel_quat_w: Array) -> Particles:
     """Particles at rest in a vessel, as they lie at the nearest tilt of the bank.
 
     Args:
@@ -166,7 +176,7 @@ def turning(quat: Array, n_turn: int, n_rest: int) -> Obstacles:
     return Obstacles(
         vessel_pos_w=jnp.zeros((n_moments, 3)),
         vessel_quat_w=upright + share * (quat - upright),
-        person=replace(no_capsules(), a_w=ends, b_w=ends),
+        human=replace(no_capsules(), a_w=ends, b_w=ends),
         furniture=no_boxes(),
         floor=jnp.float32(-10.0),
     )
@@ -178,7 +188,7 @@ def held(quat: Array, n_rest: int) -> Obstacles:
     return replace(motion, vessel_quat_w=jnp.broadcast_to(quat, motion.vessel_quat_w.shape))
 
 
-def build(name: str, seed: int = 0, rows: int = 64) -> tuple[Settled, dict[str, float]]:
+def build(name: str, seed: int = 0, rows: int = 64) -> tuple[FillBank, dict[str, float]]:
     """Let particles settle at K tilts.
 
     Args:
@@ -231,7 +241,7 @@ def build(name: str, seed: int = 0, rows: int = 64) -> tuple[Settled, dict[str, 
         "highest": float(pos[..., 2].max()),
         "deepest_overlap": float(2 * spec.radius - gaps.min()),
     }
-    return Settled(towards.astype(np.float32), pos.astype(np.float32)), facts
+    return FillBank(towards.astype(np.float32), pos.astype(np.float32)), facts
 
 
 def _lies_in(spec: ParticleSpec, pos: np.ndarray) -> np.ndarray:
@@ -241,17 +251,19 @@ def _lies_in(spec: ParticleSpec, pos: np.ndarray) -> np.ndarray:
     return np.all(within & (z > 0) & (z < spec.vessel.depth + 2 * spec.radius), axis=-1)
 
 
-def save_settled(bank: Settled, name: str, provenance: dict) -> None:
+def save_settled(bank: FillBank, name: str, provenance: dict) -> None:
     """Write the bank of a vessel without pickle, with where it came from."""
-    path: Path = settled_path(name)
+    path: Path = fill_path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
-    arrays = {f.name: getattr(bank, f.name) for f in fields(Settled)}
+    arrays = {f.name: getattr(bank, f.name) for f in fields(FillBank)}
     np.savez_compressed(path, **arrays, provenance=np.array(json.dumps(provenance)))
 
 
 def main(argv: list[str] | None = None) -> int:
     """Command line: build banks."""
-    parser = argparse.ArgumentParser(prog="python -m agym_jax.offline.particle_fill", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m agym_jax.offline.particle_fill", description=__doc__
+    )
     parser.add_argument("vessels", nargs="*", default=list(FILLINGS), metavar="VESSEL")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rows", type=int, default=64)
@@ -261,9 +273,7 @@ def main(argv: list[str] | None = None) -> int:
             if name not in FILLINGS:
                 raise UnknownNameError("vessel", name, FILLINGS)
             bank, facts = build(name, args.seed, args.rows)
-            command = (
-                f"python -m agym_jax.offline.particle_fill {name} --seed {args.seed} --rows {args.rows}"
-            )
+            command = f"python -m agym_jax.offline.particle_fill {name} --seed {args.seed} --rows {args.rows}"
             versions = {p: version(p) for p in ("jax", "numpy")}
             provenance = {"command": command, "seed": args.seed, "facts": facts}
             save_settled(bank, name, provenance | {"versions": versions})

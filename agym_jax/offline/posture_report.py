@@ -53,9 +53,9 @@ def statistics(bank: Postures, sex: float) -> dict[str, tuple[np.ndarray, np.nda
     plain = (bank.stature == 1) & (bank.girth == 1) & (bank.limit_scale == 1)
     seen: dict[str, list] = {}
     for i in np.flatnonzero((bank.sex == sex) & plain):
-        person = bank.row(int(i))
-        degrees = dict(zip(ALL, np.rad2deg(person.angles), strict=True))
-        for key, value in (link_positions(person) | degrees).items():
+        human = bank.row(int(i))
+        degrees = dict(zip(ALL, np.rad2deg(human.angles), strict=True))
+        for key, value in (link_positions(human) | degrees).items():
             seen.setdefault(key, []).append(value)
     return {key: (np.mean(v, axis=0), np.std(v, axis=0)) for key, v in seen.items()}
 

@@ -18,7 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.acme.running_statistics import NestedMeanStd
 
+from agym_jax.data.npz import read_npz, write_npz
 from agym_jax.errors import MissingAssetError, did_you_mean
+from agym_jax.policy.networks import Architecture, make_networks, mode_action, sample_action
 from train.envs import active_name, parts, static_name
 from train.errors import (
     DamagedFileError,
@@ -27,12 +29,10 @@ from train.errors import (
     PolicyLayoutError,
     PolicyNotFoundError,
 )
-from agym_jax.policy.networks import Architecture, make_networks, mode_action, sample_action
-from agym_jax.data.npz import read_npz, write_npz
 
 FORMAT = 1
 FILE_NAME = "policy.npz"
-FILE_NAMES = {"robot": FILE_NAME, "joint": FILE_NAME, "person": "person_policy.npz"}
+FILE_NAMES = {"robot": FILE_NAME, "joint": FILE_NAME, "human": "human_policy.npz"}
 
 
 @partial(
@@ -84,10 +84,10 @@ class Policy:
         return sample_action(networks, normalizer, self.weights, obs, key)[0]
 
 
-MOVES = {"robot": "the robot", "person": "the person", "joint": "robot and person at once"}
+MOVES = {"robot": "the robot", "human": "the person", "joint": "robot and person at once"}
 FLAGS = {
-    "robot": "--policy, and a --person-policy (a file, zero or random) where the person acts too",
-    "person": "--person-policy, and an id whose person acts (...Human-v0)",
+    "robot": "--policy, and a --human-policy (a file, zero or random) where the person acts too",
+    "human": "--human-policy, and an id whose person acts (...Human-v0)",
     "joint": "--policy alone, and the id it was trained in",
 }
 
@@ -203,7 +203,7 @@ def check_policy(
         )
     fitting = {
         "robot": (static_name(env.name), active_name(env.name)),
-        "person": (active_name(env.name),),
+        "human": (active_name(env.name),),
         "joint": (env.name,),
     }[agent]
     if trained_in not in fitting and not any_env:
@@ -288,8 +288,8 @@ def find_policy(
         ) from None
 
 
-def shipped_person(env_name: str) -> Path:
+def shipped_human(env_name: str) -> Path:
     """Where the person's policy of an environment lies if it is shipped; it may not be there."""
     from agym_jax.data.assets import asset_root
 
-    return asset_root() / "policies" / "person" / f"{env_name}.npz"
+    return asset_root() / "policies" / "human" / f"{env_name}.npz"

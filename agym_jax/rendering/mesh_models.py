@@ -118,7 +118,7 @@ def worn_by(robot: RobotSpec, source: MeshModel, file: Path, ours: Still) -> lis
     """What the links of another package's model wear, on ours."""
     spec = _parse(source, file)
     seen = [geom for geom in spec.geoms if _is_visual(geom)]
-    looks = [_look(spec, geom, file, source) for geom in seen]
+    visuals = [_look(spec, geom, file, source) for geom in seen]
     for geom in list(spec.geoms):
         if geom not in seen:
             spec.delete(geom)
@@ -139,7 +139,7 @@ def worn_by(robot: RobotSpec, source: MeshModel, file: Path, ours: Still) -> lis
     _check_joints(robot, source, ours, theirs, onto)
     alias = {name: name for name in ours.links} | {there: here}
     worn = []
-    for geom, (paint, mesh) in zip(seen, looks, strict=True):
+    for geom, (paint, mesh) in zip(seen, visuals, strict=True):
         link = _wearer(source, theirs, theirs.model.geom_bodyid[geom.id], alias, robot)
         pose = _pose(np.linalg.inv(ours.link(link)) @ onto @ theirs.geom(geom.id))
         worn.append(Shape(link, pose, paint, mesh))

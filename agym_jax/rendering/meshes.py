@@ -18,18 +18,26 @@ import mujoco
 
 from agym_jax.data.assets import asset_path
 from agym_jax.errors import MeshError, MissingExtraError, UnknownNameError
-from agym_jax.rendering.mesh_models import FIRST_UNSEEN, Mesh, Paint, Shape, Still, readable, worn_by
+from agym_jax.rendering.mesh_models import (
+    FIRST_UNSEEN,
+    Mesh,
+    Paint,
+    Shape,
+    Still,
+    readable,
+    worn_by,
+)
 from agym_jax.spec import MeshModel, MeshPart, RobotSpec
 
-LOOKS = ("primitives", "meshes")
+VISUALS = ("primitives", "meshes")
 HIDDEN = 5  # a geom group that ``render`` does not draw
 
 
-def check_looks(looks: str, robot: RobotSpec) -> None:
+def check_visuals(visuals: str, robot: RobotSpec) -> None:
     """Whether a robot can look like that here.
 
     Args:
-        looks: one of ``LOOKS``.
+        visuals: one of ``VISUALS``.
         robot: whose looks.
 
     Raises:
@@ -37,9 +45,9 @@ def check_looks(looks: str, robot: RobotSpec) -> None:
         MeshError: no meshes are known for this robot, or they do not fit it.
         MissingExtraError: the package that ships them is not installed.
     """
-    if looks not in LOOKS:
-        raise UnknownNameError("looks", looks, LOOKS)
-    if looks == "meshes":
+    if visuals not in VISUALS:
+        raise UnknownNameError("visuals", visuals, VISUALS)
+    if visuals == "meshes":
         shapes(robot)
 
 

@@ -35,7 +35,7 @@ class Marker:
 
 
 @dataclass(frozen=True)
-class Scene:
+class RayScene:
     """One instant, ready to be shot at with rays. A row is a geom of the model, then a marker, then a surface.
 
     Args:
@@ -60,7 +60,7 @@ class Hits:
     """What the rays met.
 
     Args:
-        what: row of ``Scene``, -1 where nothing was met, (n,).
+        what: row of ``RayScene``, -1 where nothing was met, (n,).
         dist: distance along the ray, FAR where nothing was met, (n,) [m].
         normal: unit normal facing the ray's origin, (n, 3).
     """
@@ -125,9 +125,9 @@ def refresh_bounds(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     model.bvh_aabb[root[has], 3:] = reach[has, None]
 
 
-def build_scene(
+def build_ray_scene(
     model: mujoco.MjModel, data: mujoco.MjData, alpha: np.ndarray, markers: Sequence[Marker]
-) -> Scene:
+) -> RayScene:
     """Collect what the rays need; nothing of the model's geometry is kept between calls.
 
     Args:
@@ -146,7 +146,7 @@ def build_scene(
     centers = np.array([m.pos for m in markers], dtype=float).reshape(-1, 3)
     radii = np.array([m.radius for m in markers], dtype=float)
     alpha = np.concatenate([alpha, [m.rgba[3] for m in markers], model.flex_rgba[:, 3]])
-    return Scene(private, data, alpha, centers, radii, surface_triangles(model, data))
+    return RayScene(private, data, alpha, centers, radii, surface_triangles(model, data))
 
 
 def surface_triangles(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, ...]:
@@ -194,7 +194,7 @@ def meet_triangles(
     return dist, normal
 
 
-def trace(scene: Scene, origin: np.ndarray, rays: np.ndarray, clear: bool) -> Hits:
+def trace(scene: RayScene, origin: np.ndarray, rays: np.ndarray, clear: bool) -> Hits:
     """First thing on each ray.
 
     Args:

@@ -21,8 +21,8 @@ from typing import Any, Protocol
 import mujoco
 import numpy as np
 
-from agym_jax.rendering import shading
 from agym_jax.errors import AgymError, UnknownNameError, did_you_mean
+from agym_jax.rendering import shading
 from agym_jax.rendering.raycast import Marker
 
 __all__ = [

@@ -14,7 +14,16 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from agym_jax.rendering.raycast import OPAQUE_ALPHA, Hits, Marker, Scene, aim, build_scene, lengths, trace
+from agym_jax.rendering.raycast import (
+    OPAQUE_ALPHA,
+    Hits,
+    Marker,
+    RayScene,
+    aim,
+    build_ray_scene,
+    lengths,
+    trace,
+)
 
 EDGE = 10.0  # neighbours that differ by more grey levels than this are antialiased
 ROTATED_GRID = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))  # pixels
@@ -35,7 +44,7 @@ class Stage:
         sky: colours at the horizon and at the zenith, (2, 3) in 0..1.
     """
 
-    scene: Scene
+    scene: RayScene
     view: mujoco.MjvScene
     rgba: np.ndarray
     gloss: np.ndarray
@@ -69,7 +78,7 @@ def set_stage(
     for row, marker in enumerate(markers, start=model.ngeom):
         rgba[row] = marker.rgba
     rgba[n - model.nflex :] = model.flex_rgba
-    scene = build_scene(model, data, rgba[: model.ngeom, 3], markers)
+    scene = build_ray_scene(model, data, rgba[: model.ngeom, 3], markers)
     return Stage(scene, view, rgba, gloss, tuple(planes), sky_colors(model))
 
 
@@ -144,7 +153,7 @@ def paint(stage: Stage, what: np.ndarray, points: np.ndarray, dist: np.ndarray) 
     return base
 
 
-def lit(scene: Scene, light: mujoco.MjvLight, points: np.ndarray) -> np.ndarray:
+def lit(scene: RayScene, light: mujoco.MjvLight, points: np.ndarray) -> np.ndarray:
     """Whether the light reaches the points: rays from the light to each.
 
     Args:

@@ -1,9 +1,9 @@
-"""Physics on C MuJoCo: one world on the CPU, whose first step comes within seconds.
+"""Physics on C MuJoCo: one environment on the CPU, whose first step comes within seconds.
 
-MJX takes half a minute to trace and compile; C MuJoCo takes nothing, and one world runs faster on it.
+MJX takes half a minute to trace and compile; C MuJoCo takes nothing, and one environment runs faster on it.
 It gets the same model, the same people written into it and the same draws, and what is around
 the physics is the same code, compiled in small pieces. Trajectories agree with those of MJX as far
-as float64 agrees with float32; MJX keeps the 8 deepest contacts of a world, C MuJoCo keeps all.
+as float64 agrees with float32; MJX keeps the 8 deepest contacts of an environment, C MuJoCo keeps all.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ import mujoco
 import numpy as np
 from jax import Array
 
-from agym_jax.sim.control import Driver, Orders
-from agym_jax.sim.episode import model_fields
 from agym_jax.human.muscles import Muscles
+from agym_jax.sense import ContactSums, Motion, at_rest, moment, no_contacts, read_contacts
+from agym_jax.sim.control import Controller, ControlTargets
+from agym_jax.sim.episode import model_fields
 from agym_jax.sim.scene import Scene
-from agym_jax.sense import Motion, Touch, at_rest, moment, no_touch, read_touch
 from agym_jax.state import Episode
 
 Layout = tuple[tuple[str, int, int, tuple[int, ...]], ...]
@@ -48,7 +48,7 @@ def _field(name: str) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class NativeData:
-    """One world of C MuJoCo: what matters of ``MjData``, under the same names.
+    """One environment of C MuJoCo: what matters of ``MjData``, under the same names.
 
     It lies in one array, because each array that enters a compiled function costs some microseconds.
     """
@@ -84,7 +84,7 @@ class NativeData:
 
 
 def layout_of(d: mujoco.MjData) -> Layout:
-    """Where the fields of one world lie in ``NativeData.numbers``."""
+    """Where the fields of one environment lie in ``NativeData.numbers``."""
     layout, start = [], 0
     for name in (*MOTION, *POSES):
         field = getattr(d, name)
@@ -98,14 +98,14 @@ class NativePhysics:
 
     Args:
         scene: what is in the world.
-        driver: of its joints.
+        controller: of its joints.
         frame_skip: physics steps of a control step.
     """
 
     traceable = False
 
-    def __init__(self, scene: Scene, driver: Driver, frame_skip: int):
-        self.scene, self.driver, self.frame_skip = scene, driver, frame_skip
+    def __init__(self, scene: Scene, controller: Controller, frame_skip: int):
+        self.scene, self.controller, self.frame_skip = scene, controller, frame_skip
         self.model = _own_model(scene)
         self._data = mujoco.MjData(self.model)
         self._layout = layout_of(self._data)
@@ -113,19 +113,19 @@ class NativePhysics:
         self._lock = threading.Lock()  # of model and data, which every call overwrites
         self._written: list[Any] = []  # leaves of what the model holds of an episode
 
-        def person_of(episode: Episode) -> tuple[dict[str, Array], Muscles]:
-            damping = driver.damping(episode.person)
+        def human_of(episode: Episode) -> tuple[dict[str, Array], Muscles]:
+            damping = controller.damping(episode.human)
             fields = model_fields(scene, scene.model, episode, damping)
-            return fields, driver.muscles(episode.person)
+            return fields, controller.muscles(episode.human)
 
-        self._person_of = jax.jit(person_of)
-        self._limit_torque = jax.jit(driver.limit_torque)
+        self._human_of = jax.jit(human_of)
+        self._limit_torque = jax.jit(controller.limit_torque)
 
-    def blank(self) -> NativeData:
-        """Data of a world in which nothing has begun."""
+    def make_data(self) -> NativeData:
+        """Data of an environment in which nothing has begun."""
         return NativeData.of(mujoco.MjData(self.model), self._layout)
 
-    def place(self, data: NativeData, episode: Episode, where: Array | None = None) -> NativeData:
+    def reset(self, data: NativeData, episode: Episode, where: Array | None = None) -> NativeData:
         """Everything at rest at the start of an episode."""
         if where is not None and not where:
             return data
@@ -133,24 +133,24 @@ class NativePhysics:
         with self._lock:
             d = self._load(data.replace(**rest | {"qpos": self.model.qpos0}), episode)
             d.qpos[index.robot_qpos] = episode.placement.arm_angles
-            d.qpos[index.person_qpos] = episode.person_angles
+            d.qpos[index.human_qpos] = episode.human_angles
             mujoco.mj_kinematics(self.model, d)
             return NativeData.of(d, self._layout)
 
-    def simulate(
-        self, data: NativeData, episode: Episode, orders: Orders
-    ) -> tuple[NativeData, Touch, Motion]:
-        """One control step. The ``qpos`` of a world that goes non-finite are NaN."""
+    def step(
+        self, data: NativeData, episode: Episode, targets: ControlTargets
+    ) -> tuple[NativeData, ContactSums, Motion]:
+        """One control step. The ``qpos`` of an environment that goes non-finite are NaN."""
         index, sensors = self.scene.index, []
-        target = np.asarray(orders.target)
+        target = np.asarray(targets.target)
         with self._lock:
             d = self._load(data, episode)
-            d.ctrl[index.robot_ctrl] = orders.goal
+            d.ctrl[index.robot_ctrl] = targets.goal
             moments = []
             for _ in range(self.frame_skip):
                 if not _is_sound(d):
                     break
-                d.qfrc_applied[index.person_dof] = self._torque(d, target)
+                d.qfrc_applied[index.human_dof] = self._torque(d, target)
                 mujoco.mj_step(self.model, d)
                 sensors.append(d.sensordata.copy())
                 moments.append(moment(index, d, np))
@@ -158,32 +158,32 @@ class NativePhysics:
                 still = at_rest(index, data, self.frame_skip)
                 return (
                     data.replace(qpos=np.nan),
-                    no_touch(index),
+                    no_contacts(index),
                     still,
                 )  # the guard against NaN sees it
             mujoco.mj_kinematics(self.model, d)
             moments.append(moment(index, d, np))
             motion = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *moments)
-            touch = _sum(read_touch(index, np.stack(sensors), np))
+            touch = _sum(read_contacts(index, np.stack(sensors), np))
             return NativeData.of(d, self._layout), touch, motion
 
     def _torque(self, d: mujoco.MjData, target: np.ndarray) -> np.ndarray:
         """Of muscles and pose-dependent limits on the person's joints [N m] (n_person,)."""
-        q = d.qpos[self.scene.index.person_qpos].astype(np.float32)
-        load, v = d.qfrc_bias[self.scene.index.person_dof], d.qvel[self.scene.index.person_dof]
+        q = d.qpos[self.scene.index.human_qpos].astype(np.float32)
+        load, v = d.qfrc_bias[self.scene.index.human_dof], d.qvel[self.scene.index.human_dof]
         torque = self._muscles.torque(target, q, load, np)
-        return torque if self.driver.within_limits(q) else torque + self._limit_torque(q, v)
+        return torque if self.controller.within_limits(q) else torque + self._limit_torque(q, v)
 
     def overflow(self, data: NativeData) -> Array:
         """Never: C MuJoCo's buffers grow ()."""
         return jnp.float32(0.0)
 
     def _load(self, data: NativeData, episode: Episode) -> mujoco.MjData:
-        """Model and data hold this world and nothing of the one before."""
-        leaves = jax.tree.leaves((episode.person, episode.rows, episode.placement))
+        """Model and data hold this environment and nothing of the one before."""
+        leaves = jax.tree.leaves((episode.human, episode.rows, episode.placement))
         same = len(leaves) == len(self._written)
         if not (same and all(a is b for a, b in zip(leaves, self._written, strict=True))):
-            fields, muscles = jax.device_get(self._person_of(episode))
+            fields, muscles = jax.device_get(self._human_of(episode))
             self._muscles = Muscles(float(muscles.gain), float(muscles.bound), muscles.passive)
             for name, value in fields.items():
                 getattr(self.model, name)[:] = value
@@ -194,7 +194,7 @@ class NativePhysics:
         return self._data
 
 
-def _sum(touch: Touch) -> Touch:
+def _sum(touch: ContactSums) -> ContactSums:
     """Over physics steps, the first axis."""
     return jax.tree.map(lambda x: x.sum(axis=0), touch)
 
@@ -207,8 +207,8 @@ def _own_model(scene: Scene) -> mujoco.MjModel:
     """
     model, index = copy.copy(scene.model), scene.index
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    model.geom_sameframe[index.person_geom] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-    model.body_sameframe[index.person_body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    model.geom_sameframe[index.human_geom] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    model.body_sameframe[index.human_body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     return model
 
 

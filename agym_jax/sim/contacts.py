@@ -23,10 +23,10 @@ def contact_pairs(
 ) -> dict[str, list[tuple[str, str]]]:
     """Geom pairs that may touch, by what their force means; names with prefixes.
 
-    The hand and the tool's working part may touch every limb of ``task.person.limbs``; the other
+    The hand and the tool's working part may touch every limb of ``task.human.limbs``; the other
     links and the rest of the tool the arm that is helped, the links also the thigh beneath it.
     """
-    limbs = task.person.limbs
+    limbs = task.human.limbs
     arm = [x for x in limbs if x.split("_", 1)[-1] in ("upper_arm", "forearm", "hand")]
     near = [*arm, *(x for x in limbs if x.endswith("thigh"))]
     seat = [f"seat/{g}" for g in task.seat.geoms]
@@ -34,22 +34,22 @@ def contact_pairs(
     for prefix in tool_prefixes(task, arms):
         parts = [f"{prefix}{g}" for g in task.tool.geoms]  # pyrefly: ignore
         working, rest = parts[: task.tool.n_working], parts[task.tool.n_working :]  # pyrefly: ignore
-        pairs[f"{prefix}person"] = [(g, f"person/{x}") for g in working for x in limbs] + [
-            (g, f"person/{x}") for g in rest for x in arm
+        pairs[f"{prefix}human"] = [(g, f"human/{x}") for g in working for x in limbs] + [
+            (g, f"human/{x}") for g in rest for x in arm
         ]
         pairs[f"{prefix}seat"] = [(g, x) for g in working for x in seat]
-    pairs["robot_person"], pairs["robot_seat"] = [], []
+    pairs["robot_human"], pairs["robot_seat"] = [], []
     for each in arms:
         hand, *links = (f"robot/{g}" for g in each.links)
-        pairs["robot_person"] += [(hand, f"person/{x}") for x in limbs]
-        pairs["robot_person"] += [(g, f"person/{x}") for g in links for x in near]
+        pairs["robot_human"] += [(hand, f"human/{x}") for x in limbs]
+        pairs["robot_human"] += [(g, f"human/{x}") for g in links for x in near]
         pairs["robot_seat"] += [(hand, g) for g in seat]
     free = [x for x in arm if body.is_free(body.LINK[x], moving)]
     outer = [x for x in free if task.seat.bears_upper_arm or not x.endswith("upper_arm")]
-    pairs["person_seat"] = [(f"person/{x}", g) for x in outer for g in seat]
-    side = task.person.arm
-    pairs["person_self"] = [
-        (f"person/{side}_{a}", f"person/{side}_{b}" if b == "thigh" else f"person/{b}")
+    pairs["human_seat"] = [(f"human/{x}", g) for x in outer for g in seat]
+    side = task.human.arm
+    pairs["human_self"] = [
+        (f"human/{side}_{a}", f"human/{side}_{b}" if b == "thigh" else f"human/{b}")
         for a, b in SELF_CONTACTS
         if f"{side}_{a}" in free and (f"{side}_{b}" if b == "thigh" else b) in limbs
     ]
@@ -58,4 +58,4 @@ def contact_pairs(
 
 def is_sensed(kind: str) -> bool:
     """Whether pairs of this kind carry a contact sensor."""
-    return kind.startswith(("tool", "robot_person"))
+    return kind.startswith(("tool", "robot_human"))

@@ -16,17 +16,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from agym_jax.human import body, limits, muscles
+from agym_jax.human.population import Human
 from agym_jax.sim.index import Index
-from agym_jax.human import body
-from agym_jax.human import limits
-from agym_jax.human import muscles
-from agym_jax.human.population import Person
 from agym_jax.sim.scene import Scene
-from agym_jax.spec import PersonSpec, Task
+from agym_jax.spec import HumanSpec, Task
 from agym_jax.state import Episode
 
 ARM = ("shoulder_y", "shoulder_x", "shoulder_z", "elbow_x")
-"""Joints whose limits depend on each other, in the order of ``person.limits``."""
+"""Joints whose limits depend on each other, in the order of ``human.limits``."""
 LIKE_RIGHT = {
     sign: limits.mirror_left(np.ones(len(ARM), np.float32), sign, np) for sign in (1.0, -1.0)
 }
@@ -35,7 +33,7 @@ LIKE_RIGHT = {
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Orders:
+class ControlTargets:
     """What one control step asks of the joints."""
 
     action: Array  # clipped to [-1, 1]                                       (n_action,)
@@ -45,11 +43,11 @@ class Orders:
 
 
 @dataclass(frozen=True, eq=False)  # has arrays in it: equal if identical
-class Driver:
-    """How the joints of one scene are driven: pure functions of one world."""
+class Controller:
+    """How the joints of one scene are driven: pure functions of one environment."""
 
     index: Index
-    spec: PersonSpec  # of the joints that are hinges in the scene
+    spec: HumanSpec  # of the joints that are hinges in the scene
     active: bool  # whether the person acts
     action_scale: float  # of a full action [rad]
     robot_range: np.ndarray  # joint limits [rad]                             (n_arm, 2)
@@ -57,7 +55,7 @@ class Driver:
     arms: tuple[tuple[np.ndarray, float], ...]  # rows of an arm's four joints, 1 right or -1 left
 
     @classmethod
-    def of(cls, scene: Scene, task: Task, active: bool) -> Driver:
+    def of(cls, scene: Scene, task: Task, active: bool) -> Controller:
         """The driver of a scene."""
         names = scene.moving
         arms = [
@@ -67,7 +65,7 @@ class Driver:
         ]
         return cls(
             index=scene.index,
-            spec=dataclasses.replace(task.person, joints=scene.moving),
+            spec=dataclasses.replace(task.human, joints=scene.moving),
             active=active,
             action_scale=task.control.action_scale,
             robot_range=np.array(scene.model.jnt_range[scene.index.robot_joint], np.float32),
@@ -75,11 +73,11 @@ class Driver:
             arms=tuple(arms),
         )
 
-    def orders(self, episode: Episode, qpos: Array, action: Array) -> Orders:
+    def targets(self, episode: Episode, qpos: Array, action: Array) -> ControlTargets:
         """What an action means, given where the joints are.
 
         Args:
-            episode: of the world.
+            episode: of the environment.
             qpos: of the whole scene [rad] (nq,).
             action: robot's joints, then the active person's; NaN and infinity act as 0 (n_action,).
         """
@@ -87,38 +85,38 @@ class Driver:
         action = jnp.clip(jnp.where(jnp.isfinite(action), action, 0.0), -1.0, 1.0)
         goal = qpos[self.index.robot_qpos] + self.action_scale * action[:n_arm]
         goal = jnp.clip(goal, self.robot_range[:, 0], self.robot_range[:, 1])
-        q = qpos[self.index.person_qpos]
-        return Orders(action, goal, *self.person_target(episode, q, action[n_arm:]))
+        q = qpos[self.index.human_qpos]
+        return ControlTargets(action, goal, *self.human_target(episode, q, action[n_arm:]))
 
-    def person_target(self, episode: Episode, q: Array, action: Array) -> tuple[Array, Array]:
+    def human_target(self, episode: Episode, q: Array, action: Array) -> tuple[Array, Array]:
         """What the muscles aim at in this control step, and what to remember of it.
 
         AG env.py take_step: the target is the angle measured now (or, with tremor, the pose held so
         far) plus the action; tremor adds its amplitude with alternating sign, minus first.
 
         Args:
-            episode: of the world.
+            episode: of the environment.
             q: angles of the person's joints [rad] (n_person,).
             action: of the active person, clipped (n_person,); (0,) of a still one.
         """
-        trembles = jnp.any(episode.person.tremor != 0.0)
-        target = episode.person_target
+        trembles = jnp.any(episode.human.tremor != 0.0)
+        target = episode.human_target
         if self.active:
-            low, high = body.joint_limits(self.spec.joints, episode.person.limit_scale).T
+            low, high = body.joint_limits(self.spec.joints, episode.human.limit_scale).T
             start = jnp.where(trembles, target, q)
             target = jnp.clip(start + self.action_scale * action, low, high)
         sign = jnp.where(episode.step % 2 == 0, -1.0, 1.0)
-        return target + sign * episode.person.tremor, target
+        return target + sign * episode.human.tremor, target
 
-    def muscles(self, person: Person) -> muscles.Muscles:
+    def muscles(self, human: Human) -> muscles.Muscles:
         """How this person pulls."""
-        moving = muscles.is_moving(person.tremor, self.active)
-        return muscles.muscles_of(self.spec, person.strength, moving)
+        moving = muscles.is_moving(human.tremor, self.active)
+        return muscles.muscles_of(self.spec, human.strength, moving)
 
-    def damping(self, person: Person) -> Array:
+    def damping(self, human: Human) -> Array:
         """Of the person's joints [N m s/rad] ()."""
-        moving = muscles.is_moving(person.tremor, self.active)
-        return muscles.damping(self.spec, person.strength, moving)
+        moving = muscles.is_moving(human.tremor, self.active)
+        return muscles.damping(self.spec, human.strength, moving)
 
     def limit_torque(self, q: Array, v: Array) -> Array:
         """Pose-dependent limits of the arms: a torque beside the muscles' [N m] (n_person,).

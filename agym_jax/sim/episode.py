@@ -1,4 +1,4 @@
-"""An episode: drawn from keys, and written into a model. Pure functions for one world."""
+"""An episode: drawn from keys, and written into a model. Pure functions for one environment."""
 
 from __future__ import annotations
 
@@ -10,74 +10,78 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from agym_jax.human import population as draw
-from agym_jax.human import pose as person_pose
+from agym_jax.human import population
+from agym_jax.human import pose as human_pose
 from agym_jax.human.body import BodyFields
 from agym_jax.sim.scene import Scene
-from agym_jax.spec import PersonSpec
+from agym_jax.spec import HumanSpec
 from agym_jax.state import Episode, Placement
 
-Drawn = tuple[draw.Person, person_pose.Pose, Placement]
+EpisodeSample = tuple[population.Human, human_pose.BodyPose, Placement]
 """Who the person is, how they sit or lie, and where the robot starts."""
 
 
-def draw_episode(
-    keys: Sequence[Array], scene: Scene, spec: PersonSpec, people: draw.People, bank: Placement
-) -> Drawn:
+def sample_episode(
+    keys: Sequence[Array],
+    scene: Scene,
+    spec: HumanSpec,
+    humans: population.Population,
+    bank: Placement,
+) -> EpisodeSample:
     """Draw all that makes one episode another than the next.
 
     Args:
         keys: three PRNG keys: of the person, the pose and the placement.
         scene: of the pair.
         spec: the person's part in the task.
-        people: the population.
+        humans: the population.
         bank: placements, K rows.
     """
-    person = draw.draw_person(
-        keys[0], people, len(scene.moving), spec.tremor_amplitude, spec.impairments
+    human = population.sample_human(
+        keys[0], humans, len(scene.moving), spec.tremor_amplitude, spec.impairments
     )
-    pose = person_pose.draw_pose(keys[1], spec, person)
+    pose = human_pose.sample_pose(keys[1], spec, human)
     row = jax.random.randint(keys[2], (), 0, bank.arm_angles.shape[0])
-    return person, pose, jax.tree.map(lambda x: jnp.asarray(x)[row], bank)
+    return human, pose, jax.tree.map(lambda x: jnp.asarray(x)[row], bank)
 
 
-def episode_of(scene: Scene, spec: PersonSpec, drawn: Drawn, xp: Any = jnp) -> Episode:
+def make_episode(scene: Scene, spec: HumanSpec, drawn: EpisodeSample, xp: Any = jnp) -> Episode:
     """What was drawn, with what follows from it, at step 0.
 
     Args:
         scene: of the pair.
         spec: the person's part in the task.
-        drawn: from ``draw_episode``.
+        drawn: from ``sample_episode``.
         xp: numpy or jax.numpy. A body is thousands of small operations, which NumPy has done before XLA has
             compiled them.
     """
-    person, pose, placement = drawn if xp is jnp else jax.device_get(drawn)
-    angles = person_pose.start_angles(pose, scene.moving, person.limit_scale, xp)
-    rows = person_rows(scene, spec, person, pose, xp)
+    human, pose, placement = drawn if xp is jnp else jax.device_get(drawn)
+    angles = human_pose.start_angles(pose, scene.moving, human.limit_scale, xp)
+    rows = human_rows(scene, spec, human, pose, xp)
     rows, angles = jax.tree.map(lambda x: xp.asarray(x, np.float32), (rows, angles))
-    return Episode(person, pose, rows, placement, angles, angles, jnp.int32(0))
+    return Episode(human, pose, rows, placement, angles, angles, jnp.int32(0))
 
 
 def start_qpos(scene: Scene, episode: Episode) -> Array:
     """Joint angles as the episode begins [rad] (nq,)."""
     qpos = jnp.asarray(scene.model.qpos0, jnp.float32)
     qpos = qpos.at[scene.index.robot_qpos].set(episode.placement.arm_angles)
-    return qpos.at[scene.index.person_qpos].set(episode.person_angles)
+    return qpos.at[scene.index.human_qpos].set(episode.human_angles)
 
 
-def person_rows(
-    scene: Scene, spec: PersonSpec, person: draw.Person, pose: person_pose.Pose, xp: Any = jnp
+def human_rows(
+    scene: Scene, spec: HumanSpec, human: population.Human, pose: human_pose.BodyPose, xp: Any = jnp
 ) -> BodyFields:
     """The person's part of the model: rows of the scene's links."""
-    rows = person_pose.rows(spec, pose, person.dims, scene.moving, person.limit_scale, xp)
+    rows = human_pose.rows(spec, pose, human.dims, scene.moving, human.limit_scale, xp)
     per_link = [k for k in rows._fields if not k.startswith("jnt")]
-    return rows._replace(**{k: getattr(rows, k)[scene.index.person_row] for k in per_link})
+    return rows._replace(**{k: getattr(rows, k)[scene.index.human_row] for k in per_link})
 
 
 def geom_sizes(scene: Scene, episode: Episode) -> Array:
     """Sizes of all geoms, this person's among them [m] (ngeom, 3)."""
     sizes = jnp.asarray(scene.model.geom_size, jnp.float32)
-    return sizes.at[scene.index.person_geom].set(episode.rows.geom_size)
+    return sizes.at[scene.index.human_geom].set(episode.rows.geom_size)
 
 
 def model_fields(scene: Scene, model: Any, episode: Episode, damping: Array) -> dict[str, Array]:
@@ -86,11 +90,11 @@ def model_fields(scene: Scene, model: Any, episode: Episode, damping: Array) -> 
     Args:
         scene: of the pair.
         model: ``mjx.Model`` or ``MjModel`` of the scene; it is not changed.
-        episode: of the world.
+        episode: of the environment.
         damping: of the person's joints [N m s/rad] ().
     """
     index, rows, place = scene.index, episode.rows, episode.placement
-    bodies, geoms, joints = index.person_body, index.person_geom, index.person_joint
+    bodies, geoms, joints = index.human_body, index.human_geom, index.human_joint
 
     def of(name: str) -> Array:
         return jnp.asarray(getattr(model, name), jnp.float32)
@@ -108,9 +112,9 @@ def model_fields(scene: Scene, model: Any, episode: Episode, damping: Array) -> 
         "geom_rbound": of("geom_rbound").at[geoms].set(rows.geom_rbound),
         "jnt_pos": of("jnt_pos").at[joints].set(rows.jnt_pos),
         "jnt_range": of("jnt_range").at[joints].set(rows.jnt_range),
-        "dof_damping": of("dof_damping").at[index.person_dof].set(damping),
-        "body_invweight0": _blend(scene, "body_invweight0", episode.person.sex),
-        "dof_invweight0": _blend(scene, "dof_invweight0", episode.person.sex),
+        "dof_damping": of("dof_damping").at[index.human_dof].set(damping),
+        "body_invweight0": _blend(scene, "body_invweight0", episode.human.sex),
+        "dof_invweight0": _blend(scene, "dof_invweight0", episode.human.sex),
     }  # fmt: skip
 
 

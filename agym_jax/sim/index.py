@@ -18,7 +18,7 @@ class ToolIndex:
     joints: np.ndarray  # joint ids of the arm that moves it                    (n,)
     dofs: np.ndarray  # their dof addresses                                     (n,)
     # sensordata addresses of contact sensors, Index.TOUCH numbers each
-    on_person: np.ndarray  # against the person                                 (n_touch,)
+    on_human: np.ndarray  # against the person                                 (n_touch,)
     working: np.ndarray  # whether that is the working part, float              (n_touch,)
     on_seat: np.ndarray  # against furniture                                    (n,)
 
@@ -38,13 +38,13 @@ class Index:
     robot_base: int  # body id that a placement moves
     torso_site: int  # the robot's reference point
     tools: tuple[ToolIndex, ...]  # one for each arm
-    robot_person: np.ndarray  # sensors: robot links against the person       (n,)
-    person_joint: np.ndarray  # joint ids of the moving joints                (n_person,)
-    person_qpos: np.ndarray  # qpos addresses                                 (n_person,)
-    person_dof: np.ndarray  # dof addresses                                   (n_person,)
+    robot_human: np.ndarray  # sensors: robot links against the person       (n,)
+    human_joint: np.ndarray  # joint ids of the moving joints                (n_person,)
+    human_qpos: np.ndarray  # qpos addresses                                 (n_person,)
+    human_dof: np.ndarray  # dof addresses                                   (n_person,)
     links: tuple[str, ...]  # the person's links in the model, in row order
-    person_row: np.ndarray  # rows of person.body.LINKS                       (n_links,)
-    person_body: np.ndarray  # body ids                                       (n_links,)
-    person_geom: np.ndarray  # collision geom ids: capsules and spheres       (n_links,)
+    human_row: np.ndarray  # rows of person.body.LINKS                       (n_links,)
+    human_body: np.ndarray  # body ids                                       (n_links,)
+    human_geom: np.ndarray  # collision geom ids: capsules and spheres       (n_links,)
 
     TOUCH = 6  # numbers of a contact sensor: force [N] (3), position [m] (3)

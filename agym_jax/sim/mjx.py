@@ -1,4 +1,4 @@
-"""Physics on MJX, in JAX (anywhere) or Warp (NVIDIA GPUs): pure, for any number of worlds at once."""
+"""Physics on MJX, in JAX (anywhere) or Warp (NVIDIA GPUs): pure, for any number of environments at once."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import mujoco
 import numpy as np
 from jax import Array
 
-from agym_jax.sim.control import Driver, Orders
-from agym_jax.sim.episode import model_fields, start_qpos
 from agym_jax.compat.mjx_quat import apply, mjx
-from agym_jax.sim.scene import Scene
-from agym_jax.sense import Motion, Touch, add_touch, moment, no_touch
-from agym_jax.state import Episode, strong
 from agym_jax.compat.warp_kernels import compile_kernels
 from agym_jax.compat.warp_streams import hold_streams
+from agym_jax.sense import ContactSums, Motion, add_contacts, moment, no_contacts
+from agym_jax.sim.control import Controller, ControlTargets
+from agym_jax.sim.episode import model_fields, start_qpos
+from agym_jax.sim.scene import Scene
+from agym_jax.state import Episode, strong
 
 apply()
 
@@ -40,31 +40,33 @@ class MjxPhysics:
     Args:
         impl: ``"jax"`` or ``"warp"``.
         scene: what is in the world.
-        driver: of its joints.
+        controller: of its joints.
         frame_skip: physics steps of a control step.
-        num_worlds: how many are stepped together; sizes Warp's buffers.
+        num_envs: how many are stepped together; sizes Warp's buffers.
     """
 
     traceable = True
 
-    def __init__(self, impl: str, scene: Scene, driver: Driver, frame_skip: int, num_worlds: int):
-        self.impl, self.scene, self.driver = impl, scene, driver
-        self.frame_skip, self.num_worlds = frame_skip, num_worlds
+    def __init__(
+        self, impl: str, scene: Scene, controller: Controller, frame_skip: int, num_envs: int
+    ):
+        self.impl, self.scene, self.controller = impl, scene, controller
+        self.frame_skip, self.num_envs = frame_skip, num_envs
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # MJX's notes on its own experimental features
             self.model = put_model(scene.model, impl)
         self._static = np.flatnonzero(scene.model.body_weldid[scene.model.geom_bodyid] == 0)
 
-    def blank(self) -> mjx.Data:
-        """Data of a world in which nothing has begun."""
+    def make_data(self) -> mjx.Data:
+        """Data of an environment in which nothing has begun."""
         return mjx.make_data(
             self.scene.model,
             impl=self.impl,
-            naconmax=WARP_CONTACTS_PER_WORLD * self.num_worlds,
+            naconmax=WARP_CONTACTS_PER_WORLD * self.num_envs,
             njmax=WARP_ROWS_PER_WORLD,
         )
 
-    def place(self, data: mjx.Data, episode: Episode, where: Array | None = None) -> mjx.Data:
+    def reset(self, data: mjx.Data, episode: Episode, where: Array | None = None) -> mjx.Data:
         """Everything at rest at the start of an episode. Warp's data must not be selected whole."""
         fresh = {name: jnp.zeros_like(getattr(data, name)) for name in AT_REST}
         fresh["qpos"] = start_qpos(self.scene, episode)
@@ -76,25 +78,25 @@ class MjxPhysics:
             place_static_geoms(self._static, model, data) if self.impl == "warp" else data
         )
 
-    def simulate(
-        self, data: mjx.Data, episode: Episode, orders: Orders
-    ) -> tuple[mjx.Data, Touch, Motion]:
+    def step(
+        self, data: mjx.Data, episode: Episode, targets: ControlTargets
+    ) -> tuple[mjx.Data, ContactSums, Motion]:
         """One control step."""
         index, model = self.scene.index, self.model_of(episode)
-        muscles = self.driver.muscles(episode.person)
-        data = data.replace(ctrl=data.ctrl.at[index.robot_ctrl].set(orders.goal))
+        muscles = self.controller.muscles(episode.human)
+        data = data.replace(ctrl=data.ctrl.at[index.robot_ctrl].set(targets.goal))
 
-        def substep(carry: tuple[mjx.Data, Touch], _: None) -> tuple[tuple, Motion]:
+        def substep(carry: tuple[mjx.Data, ContactSums], _: None) -> tuple[tuple, Motion]:
             data, touch = carry
-            q, v = data.qpos[index.person_qpos], data.qvel[index.person_dof]
-            pull = muscles.torque(orders.target, q, data.qfrc_bias[index.person_dof])
-            torque = pull + self.driver.limit_torque(q, v)
-            data = data.replace(qfrc_applied=data.qfrc_applied.at[index.person_dof].set(torque))
+            q, v = data.qpos[index.human_qpos], data.qvel[index.human_dof]
+            pull = muscles.torque(targets.target, q, data.qfrc_bias[index.human_dof])
+            torque = pull + self.controller.limit_torque(q, v)
+            data = data.replace(qfrc_applied=data.qfrc_applied.at[index.human_dof].set(torque))
             data = mjx.step(model, data)
             # what a step leaves behind is where things were as it began
-            return (data, add_touch(index, touch, data.sensordata)), moment(index, data)
+            return (data, add_contacts(index, touch, data.sensordata)), moment(index, data)
 
-        start = (data, no_touch(index))
+        start = (data, no_contacts(index))
         (data, touch), moments = jax.lax.scan(substep, start, length=self.frame_skip)
         data = mjx.kinematics(model, data)
         end = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), moments, moment(index, data))
@@ -108,7 +110,7 @@ class MjxPhysics:
 
     def model_of(self, episode: Episode) -> mjx.Model:
         """The model with this episode's person and robot base in it."""
-        damping = self.driver.damping(episode.person)
+        damping = self.controller.damping(episode.human)
         return self.model.tree_replace(model_fields(self.scene, self.model, episode, damping))
 
 
@@ -126,7 +128,7 @@ def put_model(model: mujoco.MjModel, impl: str) -> Any:
 
 
 def place_static_geoms(static: np.ndarray, model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """Put geoms that no joint moves where this world's bodies are.
+    """Put geoms that no joint moves where this environment's bodies are.
 
     MuJoCo Warp computes them once, in ``make_data``, from the shared model (``_geom_local_to_global``
     in its ``smooth.py``), although ``body_pos``, ``body_quat`` and ``geom_pos`` differ from world to
@@ -134,8 +136,8 @@ def place_static_geoms(static: np.ndarray, model: mjx.Model, data: mjx.Data) -> 
 
     Args:
         static: geoms on bodies that are welded to the world (n,).
-        model: with this world's fields.
-        data: of one world, ``xpos`` and ``xmat`` up to date.
+        model: with this environment's fields.
+        data: of one environment, ``xpos`` and ``xmat`` up to date.
     """
     bodies = np.asarray(model.geom_bodyid)[static]
     turn = data.xmat[bodies].reshape(-1, 3, 3)

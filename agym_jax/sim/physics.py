@@ -1,6 +1,6 @@
 """Physics: what the environment asks of it, and which implementations there are.
 
-``mjx_physics`` is MJX, in JAX or Warp, for any number of worlds; ``native`` is C MuJoCo, for one world
+``mjx_physics`` is MJX, in JAX or Warp, for any number of environments; ``native`` is C MuJoCo, for one environment
 on the CPU. Each is imported only when it is used: MJX alone takes seconds to import.
 """
 
@@ -12,42 +12,44 @@ from typing import Any, Protocol
 import jax
 from jax import Array
 
-from agym_jax.sim.control import Driver, Orders
 from agym_jax.errors import ImplementationError, did_you_mean
+from agym_jax.sense import ContactSums, Motion
+from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.scene import Scene
-from agym_jax.sense import Motion, Touch
 from agym_jax.state import Episode
 
 IMPLEMENTATIONS = ("auto", "jax", "warp", "native")
 
 
 class Physics(Protocol):
-    """Moves one world; knows nothing of tasks. Its ``data`` is what ``sense`` reads."""
+    """Moves one environment; knows nothing of tasks. Its ``data`` is what ``sense`` reads."""
 
     traceable: bool
     """Whether JAX can trace it (``jit``, ``vmap``); if not, only what is around it is compiled."""
 
-    def blank(self) -> Any:
-        """Data of a world in which nothing has begun."""
+    def make_data(self) -> Any:
+        """Data of an environment in which nothing has begun."""
         ...
 
-    def place(self, data: Any, episode: Episode, where: Array | None = None) -> Any:
+    def reset(self, data: Any, episode: Episode, where: Array | None = None) -> Any:
         """Everything at rest at the start of an episode, kinematics up to date.
 
         Args:
-            data: of the world, or ``blank``.
-            episode: of the world.
+            data: of the environment, or ``make_data``.
+            episode: of the environment.
             where: if given, only where it holds; the rest of ``data`` stays as it is ().
         """
         ...
 
-    def simulate(self, data: Any, episode: Episode, orders: Orders) -> tuple[Any, Touch, Motion]:
+    def step(
+        self, data: Any, episode: Episode, targets: ControlTargets
+    ) -> tuple[Any, ContactSums, Motion]:
         """One control step; kinematics of the result are up to date.
 
         Args:
-            data: of the world.
-            episode: of the world.
-            orders: to the joints, the same throughout the control step.
+            data: of the environment.
+            episode: of the environment.
+            targets: to the joints, the same throughout the control step.
 
         Returns:
             Data after the control step, sums of the contact sensors over its physics steps, and the
@@ -60,12 +62,12 @@ class Physics(Protocol):
         ...
 
 
-def choose_impl(impl: str, one_world: bool = False) -> str:
+def choose_impl(impl: str, single_env: bool = False) -> str:
     """The physics implementation that a name stands for on this machine.
 
     Args:
         impl: one of ``IMPLEMENTATIONS``.
-        one_world: whether only one world is stepped at a time, outside of ``jit`` and ``vmap``; on a CPU
+        single_env: whether only one environment is stepped at a time, outside of ``jit`` and ``vmap``; on a CPU
             ``"auto"`` is then C MuJoCo.
 
     Raises:
@@ -83,30 +85,30 @@ def choose_impl(impl: str, one_world: bool = False) -> str:
         )
     if impl != "auto":
         return impl
-    if one_world and jax.default_backend() == "cpu":
+    if single_env and jax.default_backend() == "cpu":
         return "native"
     return "warp" if has_warp and jax.default_backend() == "gpu" else "jax"
 
 
 def build_physics(
-    impl: str, scene: Scene, driver: Driver, frame_skip: int, num_worlds: int
+    impl: str, scene: Scene, controller: Controller, frame_skip: int, num_envs: int
 ) -> Physics:
     """The physics of a scene.
 
     Args:
         impl: from ``choose_impl``.
         scene: what is in the world.
-        driver: of its joints.
+        controller: of its joints.
         frame_skip: physics steps of a control step.
-        num_worlds: how many are stepped together; sizes Warp's buffers.
+        num_envs: how many are stepped together; sizes Warp's buffers.
     """
     if impl == "native":
         from agym_jax.sim.c_mujoco import NativePhysics
 
-        return NativePhysics(scene, driver, frame_skip)
+        return NativePhysics(scene, controller, frame_skip)
     from agym_jax.sim.mjx import MjxPhysics
 
-    return MjxPhysics(impl, scene, driver, frame_skip, num_worlds)
+    return MjxPhysics(impl, scene, controller, frame_skip, num_envs)
 
 
 def check_traceable(physics: Physics, *values: Any) -> None:
@@ -117,6 +119,6 @@ def check_traceable(physics: Physics, *values: Any) -> None:
     """
     if not physics.traceable and any(isinstance(value, jax.core.Tracer) for value in values):
         raise ImplementationError(
-            "impl='native' steps one world at a time, outside of jax.jit and jax.vmap (its pieces are "
-            "compiled already). Use impl='jax' or 'warp' for many worlds, or to compile a step."
+            "impl='native' steps one environment at a time, outside of jax.jit and jax.vmap (its pieces are "
+            "compiled already). Use impl='jax' or 'warp' for many environments, or to compile a step."
         )

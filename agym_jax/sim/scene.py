@@ -1,7 +1,7 @@
 """(task, robot, person) -> MuJoCo model and Index: the only reader of names.
 
 Parts are composed with ``MjSpec.attach`` under the prefixes ``robot/``, ``tool/`` (and ``tool2/`` in
-a second hand), ``person/``, ``seat/``, ``seat/<prop>/`` and ``mount/``. The physics model is lean: no
+a second hand), ``human/``, ``seat/``, ``seat/<prop>/`` and ``mount/``. The physics model is lean: no
 visual geoms, hinges only where something moves. The same function with ``visual=True`` gives the model that
 people look at, with ``solid=True`` the one in which everything has its collision shape.
 
@@ -22,22 +22,21 @@ import mujoco
 import numpy as np
 
 from agym_jax.data.assets import asset_path
-from agym_jax.sim.contacts import contact_pairs, is_sensed, tool_prefixes
 from agym_jax.errors import UnknownNameError
+from agym_jax.human import anthropometry, body
+from agym_jax.human import pose as human_pose
+from agym_jax.human.model import build as build_human
+from agym_jax.rendering.meshes import VISUALS, dress
+from agym_jax.sim.contacts import contact_pairs, is_sensed, tool_prefixes
 from agym_jax.sim.index import Index, ToolIndex
-from agym_jax.rendering.meshes import LOOKS, dress
-from agym_jax.human import anthropometry
-from agym_jax.human import body
-from agym_jax.human import pose as person_pose
-from agym_jax.human.model import build as build_person
-from agym_jax.spec import Arm, Pose, RobotSpec, Surface, Task, ToolSpec, Vec3
 from agym_jax.sim.validate import check_robot, check_seat, check_task, check_tool
+from agym_jax.spec import Arm, Pose, RobotSpec, Surface, Task, ToolSpec, Vec3
 
 ITERATIONS, LS_ITERATIONS = 4, 8
 """Newton iterations and line-search steps of the JAX implementation. ``tests/test_parity.py`` compares a
 pressing rollout with C MuJoCo; ``python -m benchmarks.nan`` looks for NaN."""
 MAX_CONTACTS = 8
-"""Contacts that MJX-JAX keeps per world, the deepest first (Warp keeps all)."""
+"""Contacts that MJX-JAX keeps per environment, the deepest first (Warp keeps all)."""
 SKIN_SOLREF = (0.04, 1.0)
 SKIN_SOLIMP = (0.7, 0.95, 0.01, 0.5, 2.0)
 """Soft skin: the constraint's time constant is two physics steps, the shortest that is stable."""
@@ -68,7 +67,7 @@ class Scene:
 def build_scene(task: Task, robot: RobotSpec, active: bool = False) -> Scene:
     """Compile the scene of a task-robot pair; the result is shared, do not write into it."""
     male = compose(task, robot, active)
-    moving = task.person.moving(active)
+    moving = task.human.moving(active)
     return Scene(
         male, compose(task, robot, active, sex=1.0), _index(male, task, robot, moving),
         robot.arms_for(task), moving,
@@ -83,12 +82,12 @@ def compose(
     stature: float = 1.0,
     girth: float = 1.0,
     limit_scale: float = 1.0,
-    pose: person_pose.Pose | None = None,
+    pose: human_pose.BodyPose | None = None,
     base: Pose | None = None,
     visual: bool = False,
     solid: bool = False,
     surfaces: Sequence[Surface] = (),
-    looks: str = "primitives",
+    visuals: str = "primitives",
 ) -> mujoco.MjModel:
     """Compile one person's scene.
 
@@ -105,16 +104,16 @@ def compose(
         visual: with lights, cameras, floor and the geoms that people look at.
         solid: with every collision geom and link, not only those that may touch in physics.
         surfaces: meshes to draw; ``draw_surfaces`` moves their vertices.
-        looks: with ``visual``, what the robot looks like: "primitives", or "meshes" of other packages.
+        visuals: with ``visual``, what the robot looks like: "primitives", or "meshes" of other packages.
 
     Raises:
         SpecError: robot, tool, seat or task do not fit together, see ``validate``.
         UnknownNameError: the task names a joint or link that no person has.
     """
     check_task(task)
-    if looks not in LOOKS:
-        raise UnknownNameError("looks", looks, LOOKS)
-    arms, moving = robot.arms_for(task), task.person.moving(active)
+    if visuals not in VISUALS:
+        raise UnknownNameError("visuals", visuals, VISUALS)
+    arms, moving = robot.arms_for(task), task.human.moving(active)
     spec = _load("scene.xml") if visual else mujoco.MjSpec()
     if visual and task.seat.front is not None:
         _look(spec.camera("front"), *task.seat.front)
@@ -127,7 +126,7 @@ def compose(
     check_seat(seat_spec, task.seat)
     if task.tool is not None:
         check_tool(_load(task.tool.model), task.tool)
-    if visual and looks == "meshes":
+    if visual and visuals == "meshes":
         dress(robot_spec, robot)
     _weld_the_rest(robot_spec, robot, task, arms)
     robot_root = robot_spec.worldbody.first_body().name
@@ -146,11 +145,11 @@ def compose(
     for prop in task.seat.props if visual or solid else ():
         _attach(spec, _load(prop.model), prop.pose, f"seat/{prop.name}/")
     d = anthropometry.dims(sex, stature, girth)
-    pose = pose or person_pose.typical(task.person, sex, stature, girth, limit_scale)
-    rows = person_pose.rows(task.person, pose, d, moving, limit_scale, np)
+    pose = pose or human_pose.typical(task.human, sex, stature, girth, limit_scale)
+    rows = human_pose.rows(task.human, pose, d, moving, limit_scale, np)
     everything = visual or solid
     links = tuple(x.name for x in body.LINKS) if everything else lean_links(task, moving)
-    _attach(spec, build_person(rows, moving, d, links, visual), Pose(), "person/")
+    _attach(spec, build_human(rows, moving, d, links, visual), Pose(), "human/")
     for i, surface in enumerate(surfaces):
         _add_surface(spec, f"surface_{i}", surface)
     _add_motors(spec, task, arms)
@@ -163,8 +162,8 @@ def compose(
 def lean_links(task: Task, moving: tuple[str, ...]) -> tuple[str, ...]:
     """Links of the person that the physics model needs: those that move, may be touched or matter."""
     goals = {name for arm in task.goals for name in arm}
-    limbs = {"chest", *task.person.limbs, *task.person.links, *goals}
-    limbs |= {f"{task.person.arm}_{x}" for x in ("upper_arm", "forearm", "hand")}
+    limbs = {"chest", *task.human.limbs, *task.human.links, *goals}
+    limbs |= {f"{task.human.arm}_{x}" for x in ("upper_arm", "forearm", "hand")}
     return tuple(x.name for x in body.LINKS if body.is_free(x, moving) or x.name in limbs)
 
 
@@ -187,16 +186,16 @@ def draw_surfaces(data: mujoco.MjData, surfaces: Sequence[Surface]) -> None:
 def _make_lean(spec: mujoco.MjSpec, robot_root: str, links: tuple[str, ...]) -> None:
     """Drop what nobody touches, and fuse static bodies: shallow trees run fastest in MJX.
 
-    The robot's root and the person's links stay bodies, because they are posed per world; an
+    The robot's root and the person's links stay bodies, because they are posed per environment; an
     ``<exclude>`` that names a body keeps it from being fused.
     """
     touching = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
     for geom in list(spec.geoms):
-        if geom.name not in touching and not geom.name.startswith("person/"):
+        if geom.name not in touching and not geom.name.startswith("human/"):
             spec.delete(geom)
     spec.compiler.fusestatic = True
     for link in links:
-        spec.add_exclude(bodyname1=robot_root, bodyname2=f"person/{link}")
+        spec.add_exclude(bodyname1=robot_root, bodyname2=f"human/{link}")
 
 
 def _load(asset: str) -> mujoco.MjSpec:
@@ -291,7 +290,7 @@ def _add_contacts(
         1 << int(mujoco.mjtConDataField.mjCONDATA_POS)
     )
     for kind, pairs in touches.items():
-        friction = task.seat.friction if kind == "person_seat" else FRICTION
+        friction = task.seat.friction if kind == "human_seat" else FRICTION
         for a, b in pairs:
             spec.add_pair(
                 name=f"{a}|{b}", geomname1=a, geomname2=b, condim=3,
@@ -336,14 +335,14 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[st
         if task.tool is None:
             tip = ids(o.mjOBJ_SITE, [f"robot/{arm.end_effector}"])[0]
             geoms = ids(o.mjOBJ_GEOM, [f"robot/{arm.links[0]}"])
-            on_person, on_seat, working = empty, empty, np.zeros(0, np.float32)
+            on_human, on_seat, working = empty, empty, np.zeros(0, np.float32)
         else:
             prefix = tool_prefixes(task, arms)[i]
             tip = ids(o.mjOBJ_SITE, [f"{prefix}{task.tool.tip}"])[0]
             geoms = ids(o.mjOBJ_GEOM, [f"{prefix}{g}" for g in task.tool.geoms])
-            on_person, on_seat = sensors[f"{prefix}person"], sensors[f"{prefix}seat"]
+            on_human, on_seat = sensors[f"{prefix}human"], sensors[f"{prefix}seat"]
             parts = {f"{prefix}{g}" for g in task.tool.geoms[: task.tool.n_working]}
-            working = np.array([a in parts for a, _ in pairs[f"{prefix}person"]], np.float32)
+            working = np.array([a in parts for a, _ in pairs[f"{prefix}human"]], np.float32)
         return ToolIndex(
             body=int(model.site_bodyid[tip]),
             quat=model.site_quat[tip].astype(np.float32),
@@ -351,15 +350,15 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[st
             geoms=geoms,
             joints=joints,
             dofs=model.jnt_dofadr[joints],
-            on_person=on_person,
+            on_human=on_human,
             working=working,
             on_seat=on_seat,
         )
 
     robot_joint = ids(o.mjOBJ_JOINT, [f"robot/{n}" for arm in arms for n in arm.joints])
-    person_joint = ids(o.mjOBJ_JOINT, [f"person/{n}" for n in moving])
+    human_joint = ids(o.mjOBJ_JOINT, [f"human/{n}" for n in moving])
     lean = lean_links(task, moving)
-    links = [f"person/{name}" for name in lean]
+    links = [f"human/{name}" for name in lean]
     torso = int(ids(o.mjOBJ_SITE, [f"robot/{robot.torso}"])[0])
     return Index(
         robot_joint=robot_joint,
@@ -369,14 +368,14 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[st
         robot_base=int(model.body_rootid[model.site_bodyid[torso]]),
         torso_site=torso,
         tools=tuple(tool_index(i, arm) for i, arm in enumerate(arms)),
-        robot_person=sensors["robot_person"],
-        person_joint=person_joint,
-        person_qpos=model.jnt_qposadr[person_joint],
-        person_dof=model.jnt_dofadr[person_joint],
+        robot_human=sensors["robot_human"],
+        human_joint=human_joint,
+        human_qpos=model.jnt_qposadr[human_joint],
+        human_dof=model.jnt_dofadr[human_joint],
         links=lean,
-        person_row=np.array([i for i, x in enumerate(body.LINKS) if x.name in lean], np.int32),
-        person_body=ids(o.mjOBJ_BODY, links),
-        person_geom=ids(o.mjOBJ_GEOM, links),
+        human_row=np.array([i for i, x in enumerate(body.LINKS) if x.name in lean], np.int32),
+        human_body=ids(o.mjOBJ_BODY, links),
+        human_geom=ids(o.mjOBJ_GEOM, links),
     )
 
 

@@ -11,9 +11,8 @@ from typing import get_args
 import mujoco
 
 from agym_jax.errors import SpecError, UnknownNameError, did_you_mean
-from agym_jax.human import body
-from agym_jax.human import population as draw
-from agym_jax.spec import Arm, RobotSpec, SeatSpec, Stillness, Task, ToolSpec
+from agym_jax.human import body, population
+from agym_jax.spec import Arm, PassiveMode, RobotSpec, SeatSpec, Task, ToolSpec
 
 COLLISION = "collision"
 """What names of collision geoms contain: the search for start placements goes by it."""
@@ -27,7 +26,7 @@ def check_task(task: Task) -> None:
         UnknownNameError: there is no such joint, link, impairment or way to be still.
         SpecError: a field is empty, a text instead of a tuple, or of another length than it should be.
     """
-    person, owner = task.person, f"{task.name}'s PersonSpec"
+    human, owner = task.human, f"{task.name}'s PersonSpec"
     _check_tuple(f"{task.name}'s arms", task.arms)
     _check_tuple(f"{task.name}'s goals", task.goals)
     if len(task.goals) != len(task.arms):
@@ -37,14 +36,16 @@ def check_task(task: Task) -> None:
         )
     for names in task.goals:
         _check_names(f"{task.name}'s goals", "link", names, (*body.LINK, "mouth"))
-    _check_names(f"{owner}.limbs", "link", person.limbs, body.LINK)
-    _check_names(f"{owner}.joints", "joint", person.joints, body.JOINTS)
-    _check_names(f"{owner}.pose", "joint", tuple(person.pose), body.JOINTS)
-    _check_names(f"{owner}.pose_range", "joint", tuple(person.pose_range), body.JOINTS)
-    _check_tuple(f"{owner}.impairments", person.impairments, 'A healthy person is ("none",).')
-    _check_names(f"{owner}.impairments", "impairment", person.impairments, draw.IMPAIRMENTS)
-    _check_names(f"{owner}.still", "way to be still", (person.still,), get_args(Stillness))
-    _check_names(f"{owner}.arm", "side", (person.arm,), ("left", "right"))
+    _check_names(f"{owner}.limbs", "link", human.limbs, body.LINK)
+    _check_names(f"{owner}.joints", "joint", human.joints, body.JOINTS)
+    _check_names(f"{owner}.pose", "joint", tuple(human.pose), body.JOINTS)
+    _check_names(f"{owner}.pose_range", "joint", tuple(human.pose_range), body.JOINTS)
+    _check_tuple(f"{owner}.impairments", human.impairments, 'A healthy person is ("none",).')
+    _check_names(f"{owner}.impairments", "impairment", human.impairments, population.IMPAIRMENTS)
+    _check_names(
+        f"{owner}.passive_mode", "way to be still", (human.passive_mode,), get_args(PassiveMode)
+    )
+    _check_names(f"{owner}.arm", "side", (human.arm,), ("left", "right"))
 
 
 def check_robot(spec: mujoco.MjSpec, robot: RobotSpec, task: Task) -> None:

@@ -23,12 +23,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from agym_jax.furniture import BED
-from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
-from agym_jax.observe import column, observation, part
 from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
+from agym_jax.observe import column, observation, part
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed, ToolSensed
-from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 
 _RAD = math.pi / 180.0
 
@@ -63,7 +63,7 @@ class RobotObs:
     right_tool_pos_torso: Array = column(3, "m", "world axes, from the torso")
     right_tool_quat_w: Array = column(4, "1 (wxyz)", "world")
     arm_angles: Array = column(14, "rad", "left arm, then right")
-    helped_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
+    assisted_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
     waist_pos_torso: Array = column(3, "m", "world axes, from the torso")
     hips_pos_torso: Array = column(3, "m", "world axes, from the torso")
     left_tool_force: Array = column(1, "N", "all contacts of the tool")
@@ -71,20 +71,20 @@ class RobotObs:
 
 
 @observation(source="arm_manipulation.py:89")
-class PersonObs:
+class HumanObs:
     """What the active person sees and feels."""
 
-    left_tool_pos_person: Array = column(3, "m", "world axes, from the chest")
+    left_tool_pos_human: Array = column(3, "m", "world axes, from the chest")
     left_tool_quat_w: Array = column(4, "1 (wxyz)", "world")
-    right_tool_pos_person: Array = column(3, "m", "world axes, from the chest")
+    right_tool_pos_human: Array = column(3, "m", "world axes, from the chest")
     right_tool_quat_w: Array = column(4, "1 (wxyz)", "world")
-    person_angles: Array = column(10, "rad", "right arm's joints")
-    helped_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
-    waist_pos_person: Array = column(3, "m", "world axes, from the chest")
-    hips_pos_person: Array = column(3, "m", "world axes, from the chest")
-    force_on_person: Array = column(1, "N", "robot and tools on the person")
-    left_tool_on_person: Array = column(1, "N", "tool on the person")
-    right_tool_on_person: Array = column(1, "N", "tool on the person")
+    human_angles: Array = column(10, "rad", "right arm's joints")
+    assisted_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
+    waist_pos_human: Array = column(3, "m", "world axes, from the chest")
+    hips_pos_human: Array = column(3, "m", "world axes, from the chest")
+    force_on_human: Array = column(1, "N", "robot and tools on the person")
+    left_tool_on_human: Array = column(1, "N", "tool on the person")
+    right_tool_on_human: Array = column(1, "N", "tool on the person")
 
 
 SCOOPER = ToolSpec(
@@ -113,7 +113,7 @@ class ArmManipulation:
     tool: ToolSpec = SCOOPER
     # AG: friction 0.3 of the bed times 0.5 of the person
     seat: SeatSpec = replace(BED, friction=0.15, bears_upper_arm=True)
-    person: PersonSpec = PersonSpec(
+    human: HumanSpec = HumanSpec(
         joints=RIGHT_ARM,
         pose={},
         postures="ArmManipulation",
@@ -124,11 +124,11 @@ class ArmManipulation:
         impairments=("none", "limits", "weakness"),
         limbs=("right_upper_arm", "right_forearm", "right_hand", "chest", "waist", "hips",
                "right_thigh"),
-        still="limp",
+        passive_mode="limp",
     )  # fmt: skip
     episode_length: int = 200
     robot_obs: type = RobotObs
-    person_obs: type = PersonObs
+    human_obs: type = HumanObs
 
     def start(self, key: Array, robot: str) -> Array:
         """Where the hands start, world [m] (2, 3). AG arm_manipulation.py reset."""
@@ -163,15 +163,15 @@ class ArmManipulation:
             **preference_terms(
                 c.preferences,
                 jnp.sum(jnp.stack(speeds)),
-                s.robot_on_person,  # the scoopers' touch is wanted
+                s.robot_on_human,  # the scoopers' touch is wanted
                 jnp.float32(0.0),
             ),
             "preference_high_pressures": -c.pressure * jnp.sum(jnp.stack(pressures)),
         }
 
-    def observe(self, state: ArmState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+    def observe(self, state: ArmState, sensed: Sensed) -> tuple[RobotObs, HumanObs]:
         """What robot and person see."""
-        s, torso, chest = sensed, sensed.torso_pos_w, sensed.person_pos_w
+        s, torso, chest = sensed, sensed.torso_pos_w, sensed.human_pos_w
         left, right = s.tools[0], s.tools[-1]
         arm_torso, arm_chest = see_arm(s)
         waist, hips = s.link_pos_w["waist"], s.link_pos_w["hips"]
@@ -181,26 +181,26 @@ class ArmManipulation:
             right_tool_pos_torso=right.pos_w - torso,
             right_tool_quat_w=right.quat_w,
             arm_angles=jnp.tile(s.arm_angles, 2)[:14],
-            helped_arm=arm_torso,
+            assisted_arm=arm_torso,
             waist_pos_torso=waist - torso,
             hips_pos_torso=hips - torso,
             left_tool_force=left.force,
             right_tool_force=right.force,
         )
-        person = PersonObs(
-            left_tool_pos_person=left.pos_w - chest,
+        human = HumanObs(
+            left_tool_pos_human=left.pos_w - chest,
             left_tool_quat_w=left.quat_w,
-            right_tool_pos_person=right.pos_w - chest,
+            right_tool_pos_human=right.pos_w - chest,
             right_tool_quat_w=right.quat_w,
-            person_angles=s.person_angles,
-            helped_arm=arm_chest,
-            waist_pos_person=waist - chest,
-            hips_pos_person=hips - chest,
-            force_on_person=s.force_on_person,
-            left_tool_on_person=left.on_person,
-            right_tool_on_person=right.on_person,
+            human_angles=s.human_angles,
+            assisted_arm=arm_chest,
+            waist_pos_human=waist - chest,
+            hips_pos_human=hips - chest,
+            force_on_human=s.force_on_human,
+            left_tool_on_human=left.on_human,
+            right_tool_on_human=right.on_human,
         )
-        return robot, person
+        return robot, human
 
     def success(self, state: ArmState) -> Array:
         """Whether the arm has been near enough at some time ()."""
@@ -221,7 +221,7 @@ def _nearness(sensed: Sensed) -> Array:
 def _pressure(tool: ToolSensed) -> Array:
     """Force of a scooper on the person over the number of its contacts [N] ()."""
     touching = jnp.sum(tool.touch_force > 0)
-    return tool.on_person / jnp.maximum(touching, 1)
+    return tool.on_human / jnp.maximum(touching, 1)
 
 
 ARM_MANIPULATION = ArmManipulation()

@@ -21,12 +21,12 @@ import numpy as np
 from jax import Array
 
 from agym_jax.furniture import BED
-from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
-from agym_jax.observe import column, observation, part
 from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
+from agym_jax.observe import column, observation, part
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 
 _H = math.sqrt(0.5)
 _RAD = math.pi / 180.0
@@ -69,20 +69,20 @@ class RobotObs:
     tool_pos_torso: Array = column(3, "m", "world axes, from the robot's torso")
     tool_quat_w: Array = column(4, "1 (wxyz)", "world")
     arm_angles: Array = column(7, "rad", "joints")
-    helped_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
+    assisted_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
     tool_force: Array = column(1, "N", "sum over all contacts of the tool")
 
 
 @observation(source="bed_bathing.py:71")
-class PersonObs:
+class HumanObs:
     """What the active person sees and feels."""
 
-    tool_pos_person: Array = column(3, "m", "world axes, from the chest")
+    tool_pos_human: Array = column(3, "m", "world axes, from the chest")
     tool_quat_w: Array = column(4, "1 (wxyz)", "world")
-    person_angles: Array = column(10, "rad", "right arm's joints")
-    helped_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
-    force_on_person: Array = column(1, "N", "tool and robot on the person")
-    tool_on_person: Array = column(1, "N", "tool on the person")
+    human_angles: Array = column(10, "rad", "right arm's joints")
+    assisted_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
+    force_on_human: Array = column(1, "N", "tool and robot on the person")
+    tool_on_human: Array = column(1, "N", "tool on the person")
 
 
 WIPER = ToolSpec(
@@ -111,7 +111,7 @@ class BedBathing:
     tool: ToolSpec = WIPER
     # AG: friction 5 of the bed times 0.5 of the person
     seat: SeatSpec = replace(BED, friction=2.5)
-    person: PersonSpec = PersonSpec(
+    human: HumanSpec = HumanSpec(
         joints=RIGHT_ARM,
         pose={},
         postures="BedBathing",
@@ -122,11 +122,11 @@ class BedBathing:
         impairments=("none", "limits", "weakness", "tremor"),
         limbs=("right_upper_arm", "right_forearm", "right_hand", "right_girdle",
                "chest", "waist", "hips", "head", "right_thigh"),
-        still="welded",
+        passive_mode="welded",
     )  # fmt: skip
     episode_length: int = 200
     robot_obs: type = RobotObs
-    person_obs: type = PersonObs
+    human_obs: type = HumanObs
 
     def start(self, key: Array, robot: str) -> Array:
         """Where the hand starts, world [m] (1, 3). AG bed_bathing.py reset."""
@@ -177,38 +177,38 @@ class BedBathing:
             **preference_terms(
                 c.preferences,
                 jnp.linalg.norm(sensed.tool.vel_w),
-                sensed.force_on_person,
+                sensed.force_on_human,
                 state.pad_force,
             ),
         }
 
-    def observe(self, state: BathState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+    def observe(self, state: BathState, sensed: Sensed) -> tuple[RobotObs, HumanObs]:
         """What robot and person see."""
-        s, tool, torso, chest = sensed, sensed.tool, sensed.torso_pos_w, sensed.person_pos_w
+        s, tool, torso, chest = sensed, sensed.tool, sensed.torso_pos_w, sensed.human_pos_w
         arm_torso, arm_chest = see_arm(s)
         robot = RobotObs(
             tool_pos_torso=tool.pos_w - torso,
             tool_quat_w=tool.quat_w,
             arm_angles=s.arm_angles,
-            helped_arm=arm_torso,
+            assisted_arm=arm_torso,
             tool_force=tool.force,
         )
-        person = PersonObs(
-            tool_pos_person=tool.pos_w - chest,
+        human = HumanObs(
+            tool_pos_human=tool.pos_w - chest,
             tool_quat_w=tool.quat_w,
-            person_angles=s.person_angles,
-            helped_arm=arm_chest,
-            force_on_person=s.force_on_person,
-            tool_on_person=tool.on_person,
+            human_angles=s.human_angles,
+            assisted_arm=arm_chest,
+            force_on_human=s.force_on_human,
+            tool_on_human=tool.on_human,
         )
-        return robot, person
+        return robot, human
 
     @property
-    def hidden_size(self) -> int:
-        """Entries of ``hidden``."""
+    def privileged_obs_size(self) -> int:
+        """Entries of ``privileged_obs``."""
         return 2
 
-    def hidden(self, state: BathState) -> Array:
+    def privileged_obs(self, state: BathState) -> Array:
         """Shares of upper arm and forearm that are still to be wiped (hidden_size,)."""
         return jnp.sum(state.dirty, 1) / jnp.maximum(jnp.sum(state.exists, 1), 1.0)
 
@@ -232,7 +232,7 @@ def _in_world(points: Array, sensed: Sensed) -> Array:
 
 
 def _unrotate(quat: Array, vectors: Array) -> Array:
-    """Vectors (..., 3) of the world in the frame whose orientation is ``quat`` wxyz."""
+    """Vectors (..., 3) of the environment in the frame whose orientation is ``quat`` wxyz."""
     w, u = quat[0], -quat[1:]
     t = 2.0 * jnp.cross(u, vectors)
     return vectors + w * t + jnp.cross(u, t)

@@ -28,20 +28,20 @@ import numpy as np
 from jax import Array
 
 from agym_jax.furniture import WHEELCHAIR
-from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso
-from agym_jax.matter.cloth import solver as fabrics
-from agym_jax.matter.cloth import sleeve
-from agym_jax.matter.cloth.solver import Cloth, Touch
-from agym_jax.matter.cloth.garment import Garment, load
-from agym_jax.matter.cloth.hang import settle
-from agym_jax.matter.shapes import Capsules
-from agym_jax.matter.cloth.topology import ClothSpec, Fabric, weave
-from agym_jax.observe import column, observation, part
 from agym_jax.human.body import LEFT_ARM
 from agym_jax.human.capsules import link_capsules
+from agym_jax.matter.cloth import sleeve
+from agym_jax.matter.cloth import solver as fabrics
+from agym_jax.matter.cloth.garment import Garment, load
+from agym_jax.matter.cloth.hang import settle
+from agym_jax.matter.cloth.solver import Cloth, Touch
+from agym_jax.matter.cloth.topology import ClothSpec, Fabric, build_cloth
+from agym_jax.matter.shapes import Capsules
+from agym_jax.observe import column, observation, part
 from agym_jax.preferences import dressing_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, PersonSpec, Preferences, SeatSpec, Surface
+from agym_jax.spec import Control, HumanSpec, Preferences, SeatSpec, Surface
+from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso
 
 _RAD = math.pi / 180.0
 UP = np.array([0.0, 0.0, 1.0], np.float32)
@@ -106,20 +106,20 @@ class RobotObs:
     hand_pos_torso: Array = column(3, "m", "world axes, from the robot's torso")
     hand_quat_w: Array = column(4, "1 (wxyz)", "world")
     arm_angles: Array = column(7, "rad", "joints")
-    helped_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
+    assisted_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
     cloth_force: Array = column(1, "N", "gown on the person")
 
 
 @observation(source="dressing.py _get_obs")
-class PersonObs:
+class HumanObs:
     """What the active person sees and feels."""
 
-    hand_pos_person: Array = column(3, "m", "world axes, from the chest")
+    hand_pos_human: Array = column(3, "m", "world axes, from the chest")
     hand_quat_w: Array = column(4, "1 (wxyz)", "world")
-    person_angles: Array = column(10, "rad", "left arm's joints")
-    helped_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
+    human_angles: Array = column(10, "rad", "left arm's joints")
+    assisted_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
     cloth_force: Array = column(1, "N", "gown on the person")
-    robot_on_person: Array = column(1, "N", "robot on the person")
+    robot_on_human: Array = column(1, "N", "robot on the person")
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class Dressing:
     goals: tuple[tuple[str, ...], ...] = (ARM_LINKS,)
     tool: None = None
     seat: SeatSpec = LEFT_BESIDE
-    person: PersonSpec = PersonSpec(
+    human: HumanSpec = HumanSpec(
         joints=LEFT_ARM,
         # AG dressing.py reset: joints_positions
         pose={
@@ -155,11 +155,11 @@ class Dressing:
         limbs=TOUCHABLE,
         links=BELOW,
         arm="left",
-        still="frozen",
+        passive_mode="frozen",
     )  # fmt: skip
     episode_length: int = 200
     robot_obs: type = RobotObs
-    person_obs: type = PersonObs
+    human_obs: type = HumanObs
 
     def __post_init__(self) -> None:
         """Refuse a garment that could not be worn or simulated.
@@ -178,7 +178,7 @@ class Dressing:
     @cached_property
     def spec(self) -> ClothSpec:
         """The same for the solver."""
-        return weave(self.gown, self.fabric)
+        return build_cloth(self.gown, self.fabric)
 
     @cached_property
     def watched(self) -> np.ndarray:
@@ -231,7 +231,7 @@ class Dressing:
                 held_at(self.spec, hand0 + slid, heading), held_at(self.spec, hand1 + slid, after),
                 self.control.time_step, fabrics.in_hand(slid), FLOOR,
             )  # fmt: skip
-            return (cloth, after, fabrics.give_way(slid, touch, self.control.time_step)), touch
+            return (cloth, after, fabrics.slip(slid, touch, self.control.time_step)), touch
 
         way = a, b, motion.tool_pos_w
         moments = tuple(x[:-1] for x in way), tuple(x[1:] for x in way)
@@ -265,7 +265,7 @@ class Dressing:
             ),
         }
 
-    def observe(self, state: DressState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+    def observe(self, state: DressState, sensed: Sensed) -> tuple[RobotObs, HumanObs]:
         """What robot and person see; not the gown, but what the arm feels of it."""
         s, hand, force = sensed, sensed.tool, jnp.sum(state.force)
         joints = [s.link_pos_w[link] for link in ARM_LINKS]
@@ -273,25 +273,25 @@ class Dressing:
             hand_pos_torso=hand.pos_w - s.torso_pos_w,
             hand_quat_w=hand.quat_w,
             arm_angles=s.arm_angles,
-            helped_arm=ArmFromTorso(*(joint - s.torso_pos_w for joint in joints)),
+            assisted_arm=ArmFromTorso(*(joint - s.torso_pos_w for joint in joints)),
             cloth_force=force,
         )
-        person = PersonObs(
-            hand_pos_person=hand.pos_w - s.person_pos_w,
+        human = HumanObs(
+            hand_pos_human=hand.pos_w - s.human_pos_w,
             hand_quat_w=hand.quat_w,
-            person_angles=s.person_angles,
-            helped_arm=ArmFromChest(*(joint - s.person_pos_w for joint in joints)),
+            human_angles=s.human_angles,
+            assisted_arm=ArmFromChest(*(joint - s.human_pos_w for joint in joints)),
             cloth_force=force,
-            robot_on_person=s.robot_on_person,
+            robot_on_human=s.robot_on_human,
         )
-        return robot, person
+        return robot, human
 
     @property
-    def hidden_size(self) -> int:
-        """Entries of ``hidden``."""
+    def privileged_obs_size(self) -> int:
+        """Entries of ``privileged_obs``."""
         return 10
 
-    def hidden(self, state: DressState) -> Array:
+    def privileged_obs(self, state: DressState) -> Array:
         """What the sleeve is on, how far, and where its opening is from what is held (hidden_size,)."""
         on, pos = state.on_arm, state.cloth.pos_w
         flags = [on.forearm, on.upper_arm, on.unseen / sleeve.REMEMBERED, state.dressed]
@@ -339,10 +339,10 @@ def held_at(spec: ClothSpec, hand_w: Array, heading: Array) -> Array:
     return fabrics.anchor_positions(spec, hand_w - BELOW_HAND * UP, turned)
 
 
-def arm_of(sensed: Sensed) -> sleeve.Arm:
+def arm_of(sensed: Sensed) -> sleeve.SleeveArm:
     """The arm that is dressed. Its hand, elbow and shoulder are as thick as the upper arm, as in AG."""
     shoulder, elbow, wrist = (sensed.link_pos_w[link] for link in ARM_LINKS)
-    return sleeve.Arm(shoulder, elbow, wrist, sensed.dims.upper_arm_r)
+    return sleeve.SleeveArm(shoulder, elbow, wrist, sensed.dims.upper_arm_r)
 
 
 DRESSING = Dressing()

@@ -25,13 +25,13 @@ from jax import Array
 from agym_jax.furniture import WHEELCHAIR_UP_CLOSE
 from agym_jax.matter.particles.checks import check
 from agym_jax.matter.particles.solver import WATER, Contact, Particles, ParticleSpec, advance
-from agym_jax.offline.particle_fill import fill, load_settled
 from agym_jax.matter.shapes import no_boxes, rotation
+from agym_jax.offline.particle_fill import fill, load_fill
 from agym_jax.preferences import meal_terms, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared import meals
-from agym_jax.tasks.shared.meals import Fates
+from agym_jax.tasks.shared.meals import Outcome
 
 _H = 0.5**0.5
 BOTTOM, TOP, RADIUS = -0.01, 0.115, 0.05
@@ -95,10 +95,10 @@ class Drinking:
     goals: tuple[tuple[str, ...], ...] = (("mouth",),)
     tool: ToolSpec = CUP
     seat: SeatSpec = WHEELCHAIR_UP_CLOSE
-    person: PersonSpec = meals.eater(rate=0.0005 / 0.004, max_torque=1.0)
+    human: HumanSpec = meals.diner(rate=0.0005 / 0.004, max_torque=1.0)
     episode_length: int = 200
     robot_obs: type = meals.RobotObs
-    person_obs: type = meals.PersonObs
+    human_obs: type = meals.HumanObs
 
     def __post_init__(self) -> None:
         """Refuse what could not be simulated well.
@@ -117,7 +117,7 @@ class Drinking:
         """A cup of water, as it has settled for this tilt."""
         tool = sensed.tool
         return DrinkState(
-            water=fill(load_settled("cup"), *meals.attach(tool.pos_w, tool.quat_w, INSIDE)),
+            water=fill(load_fill("cup"), *meals.attach(tool.pos_w, tool.quat_w, INSIDE)),
             drunk=jnp.float32(0.0),
             lost=jnp.int32(0),
             side=side_of(tool.quat_w, sensed.mouth_pos_w - tool.pos_w),
@@ -129,18 +129,20 @@ class Drinking:
         mouth = sensed.mouth_pos_w
         around = meals.obstacles(sensed, INSIDE, no_boxes())
         water, contact = advance(self.water, state.water, around, self.control.time_step)
-        fates = fates_of(self.config, water, contact, mouth, sensed.tool.pos_w, sensed.tool.quat_w)
+        outcome = outcome_of(
+            self.config, water, contact, mouth, sensed.tool.pos_w, sensed.tool.quat_w
+        )
         count = lambda mask: jnp.sum(mask, dtype=jnp.float32)  # noqa: E731
         state = DrinkState(
-            water=water.remove(fates.eaten | fates.spilled | fates.hit),
-            drunk=state.drunk + count(fates.eaten),
+            water=water.remove(outcome.eaten | outcome.spilled | outcome.hit),
+            drunk=state.drunk + count(outcome.eaten),
             lost=state.lost + contact.lost,
             side=state.side,
             mouth_pos_w=mouth,
         )
         return state, {
-            "drunk": count(fates.eaten), "spilled": count(fates.spilled), "hits": count(fates.hit),
-            "speed": fates.speed,
+            "drunk": count(outcome.eaten), "spilled": count(outcome.spilled), "hits": count(outcome.hit),
+            "speed": outcome.speed,
         }  # fmt: skip
 
     def rewards(
@@ -158,24 +160,24 @@ class Drinking:
             **preference_terms(
                 c.preferences,
                 jnp.linalg.norm(tool.vel_w),
-                sensed.force_on_person,
-                sensed.tool_on_person,  # the cup's touch is wanted, within bounds
+                sensed.force_on_human,
+                sensed.tool_on_human,  # the cup's touch is wanted, within bounds
             ),
             **meal_terms(c.preferences, events["hits"], events["speed"]),
         }
 
-    def observe(self, state: DrinkState, sensed: Sensed) -> tuple[meals.RobotObs, meals.PersonObs]:
+    def observe(self, state: DrinkState, sensed: Sensed) -> tuple[meals.RobotObs, meals.HumanObs]:
         """What robot and person see."""
         return meals.observe(sensed)
 
     @property
-    def hidden_size(self) -> int:
-        """Entries of ``hidden``."""
-        return meals.HIDDEN_SIZE
+    def privileged_obs_size(self) -> int:
+        """Entries of ``privileged_obs``."""
+        return meals.PRIVILEGED_OBS_SIZE
 
-    def hidden(self, state: DrinkState) -> Array:
+    def privileged_obs(self, state: DrinkState) -> Array:
         """How much water is left and where (hidden_size,)."""
-        return meals.hidden(state.water, state.drunk, state.mouth_pos_w)
+        return meals.privileged_obs(state.water, state.drunk, state.mouth_pos_w)
 
     def success(self, state: DrinkState) -> Array:
         """Whether three quarters of the water have been drunk ()."""
@@ -234,10 +236,10 @@ def in_cup(points_w: Array, cup_pos_w: Array, cup_quat_w: Array) -> Array:
     return (height >= BOTTOM) & (height <= TOP) & (radius <= RADIUS)
 
 
-def fates_of(
+def outcome_of(
     config: Config, water: Particles, contact: Contact, mouth_pos_w: Array, cup_pos_w: Array,
     cup_quat_w: Array,
-) -> Fates:  # fmt: skip
+) -> Outcome:  # fmt: skip
     """What has become of every drop outside of the cup, in AG's order: drunk, else spilled, else a hit.
 
     Args:
@@ -251,9 +253,9 @@ def fates_of(
     out = water.alive & ~in_cup(water.pos_w, cup_pos_w, cup_quat_w)
     drunk = out & (jnp.linalg.norm(water.pos_w - mouth_pos_w, axis=-1) < config.mouth)
     spilled = out & ~drunk & (water.pos_w[:, 2] < config.fallen)
-    hit = out & ~drunk & ~spilled & contact.person
+    hit = out & ~drunk & ~spilled & contact.human
     speed = jnp.sum(jnp.where(drunk, jnp.linalg.norm(water.vel_w, axis=-1), 0.0))
-    return Fates(drunk, spilled, hit, speed)
+    return Outcome(drunk, spilled, hit, speed)
 
 
 DRINKING = Drinking()

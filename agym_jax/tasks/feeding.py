@@ -20,15 +20,15 @@ from jax import Array
 
 from agym_jax.furniture import BOWL, TABLE, WHEELCHAIR_AT_TABLE
 from agym_jax.matter.particles.checks import check
-from agym_jax.matter.particles.solver import FOOD, Contact, Particles, ParticleSpec, advance
-from agym_jax.offline.particle_fill import fill, load_settled
-from agym_jax.matter.shapes import Boxes
 from agym_jax.matter.particles.containers import SPOON_ORIGIN_IN_AG
+from agym_jax.matter.particles.solver import FOOD, Contact, Particles, ParticleSpec, advance
+from agym_jax.matter.shapes import Boxes
+from agym_jax.offline.particle_fill import fill, load_fill
 from agym_jax.preferences import meal_terms, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared import meals
-from agym_jax.tasks.shared.meals import Fates
+from agym_jax.tasks.shared.meals import Outcome
 
 _H = 0.5**0.5
 ABOVE_BOWL = (0.0, -0.1, 0.425)
@@ -99,10 +99,10 @@ class Feeding:
     goals: tuple[tuple[str, ...], ...] = (("mouth",),)
     tool: ToolSpec = SPOON
     seat: SeatSpec = WHEELCHAIR_AT_TABLE
-    person: PersonSpec = meals.eater(rate=0.0005 / 0.002, max_torque=5.0)
+    human: HumanSpec = meals.diner(rate=0.0005 / 0.002, max_torque=5.0)
     episode_length: int = 200
     robot_obs: type = meals.RobotObs
-    person_obs: type = meals.PersonObs
+    human_obs: type = meals.HumanObs
 
     def __post_init__(self) -> None:
         """Refuse what could not be simulated well.
@@ -123,7 +123,7 @@ class Feeding:
         tool = sensed.tool
         dish = meals.attach(tool.pos_w, tool.quat_w, DISH)
         return FeedState(
-            food=fill(load_settled("spoon"), *dish),
+            food=fill(load_fill("spoon"), *dish),
             has_hit=jnp.zeros(self.food.count, bool),
             eaten=jnp.float32(0.0),
             lost=jnp.int32(0),
@@ -136,19 +136,19 @@ class Feeding:
         mouth = sensed.mouth_pos_w
         around = meals.obstacles(sensed, DISH, _furniture(state.bowl_pos_w))
         food, contact = advance(self.food, state.food, around, self.control.time_step)
-        fates = fates_of(self.config, food, contact, state.has_hit, mouth)
+        outcome = outcome_of(self.config, food, contact, state.has_hit, mouth)
         count = lambda mask: jnp.sum(mask, dtype=jnp.float32)  # noqa: E731
         state = FeedState(
-            food=food.remove(fates.eaten | fates.spilled),
-            has_hit=state.has_hit | fates.hit,
-            eaten=state.eaten + count(fates.eaten),
+            food=food.remove(outcome.eaten | outcome.spilled),
+            has_hit=state.has_hit | outcome.hit,
+            eaten=state.eaten + count(outcome.eaten),
             lost=state.lost + contact.lost,
             bowl_pos_w=state.bowl_pos_w,
             mouth_pos_w=mouth,
         )
         return state, {
-            "eaten": count(fates.eaten), "spilled": count(fates.spilled), "hits": count(fates.hit),
-            "speed": fates.speed,
+            "eaten": count(outcome.eaten), "spilled": count(outcome.spilled), "hits": count(outcome.hit),
+            "speed": outcome.speed,
         }  # fmt: skip
 
     def rewards(
@@ -164,24 +164,24 @@ class Feeding:
             **preference_terms(
                 c.preferences,
                 jnp.linalg.norm(sensed.tool.vel_w),
-                sensed.force_on_person,
-                sensed.tool_on_person,  # the spoon's touch is wanted, within bounds
+                sensed.force_on_human,
+                sensed.tool_on_human,  # the spoon's touch is wanted, within bounds
             ),
             **meal_terms(c.preferences, events["hits"], events["speed"]),
         }
 
-    def observe(self, state: FeedState, sensed: Sensed) -> tuple[meals.RobotObs, meals.PersonObs]:
+    def observe(self, state: FeedState, sensed: Sensed) -> tuple[meals.RobotObs, meals.HumanObs]:
         """What robot and person see."""
         return meals.observe(sensed)
 
     @property
-    def hidden_size(self) -> int:
-        """Entries of ``hidden``."""
-        return meals.HIDDEN_SIZE
+    def privileged_obs_size(self) -> int:
+        """Entries of ``privileged_obs``."""
+        return meals.PRIVILEGED_OBS_SIZE
 
-    def hidden(self, state: FeedState) -> Array:
+    def privileged_obs(self, state: FeedState) -> Array:
         """How much food is left and where (hidden_size,)."""
-        return meals.hidden(state.food, state.eaten, state.mouth_pos_w)
+        return meals.privileged_obs(state.food, state.eaten, state.mouth_pos_w)
 
     def success(self, state: FeedState) -> Array:
         """Whether three quarters of the food have been eaten ()."""
@@ -199,9 +199,9 @@ class Feeding:
         return {BOWL.name: state.bowl_pos_w}
 
 
-def fates_of(
+def outcome_of(
     config: Config, food: Particles, contact: Contact, has_hit: Array, mouth_pos_w: Array
-) -> Fates:
+) -> Outcome:
     """What has become of every piece, in AG's order: eaten, else spilled, else a first hit.
 
     Args:
@@ -215,9 +215,9 @@ def fates_of(
     eaten = food.alive & (away < config.mouth)
     fallen = food.pos_w[:, 2] < config.fallen
     spilled = food.alive & ~eaten & (fallen | contact.furniture)
-    hit = food.alive & ~eaten & ~spilled & contact.person & ~has_hit
+    hit = food.alive & ~eaten & ~spilled & contact.human & ~has_hit
     speed = jnp.sum(jnp.where(eaten, jnp.linalg.norm(food.vel_w, axis=-1), 0.0))
-    return Fates(eaten, spilled, hit, speed)
+    return Outcome(eaten, spilled, hit, speed)
 
 
 def _draw_bowl(key: Array) -> Array:

@@ -19,11 +19,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from agym_jax.furniture import WHEELCHAIR
-from agym_jax.observe import column, observation
 from agym_jax.human.body import HEAD
+from agym_jax.observe import column, observation
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, PersonSpec, Preferences, SeatSpec
+from agym_jax.spec import Control, HumanSpec, Preferences, SeatSpec
 
 _RAD = math.pi / 180.0
 
@@ -58,15 +58,15 @@ class RobotObs:
 
 
 @observation(source="wiki tutorial")
-class PersonObs:
+class HumanObs:
     """What the active person sees and feels."""
 
-    hand_pos_person: Array = column(3, "m", "world axes, from the chest")
+    hand_pos_human: Array = column(3, "m", "world axes, from the chest")
     hand_pos_mouth: Array = column(3, "m", "world axes, from the mouth")
-    person_angles: Array = column(4, "rad", "neck and head joints")
+    human_angles: Array = column(4, "rad", "neck and head joints")
     hand_quat_w: Array = column(4, "1 (wxyz)", "world")
     head_quat_w: Array = column(4, "1 (wxyz)", "world")
-    force_on_person: Array = column(1, "N", "robot on the person")
+    force_on_human: Array = column(1, "N", "robot on the person")
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Reaching:
     goals: tuple[tuple[str, ...], ...] = (("mouth",),)
     tool: None = None
     seat: SeatSpec = WHEELCHAIR
-    person: PersonSpec = PersonSpec(
+    human: HumanSpec = HumanSpec(
         joints=HEAD,
         pose={
             "r_elbow_x": -90 * _RAD, "l_elbow_x": -90 * _RAD, "r_hip_x": -90 * _RAD,
@@ -98,11 +98,11 @@ class Reaching:
         impairments=("none", "limits", "weakness", "tremor"),
         limbs=("head", "neck", "chest", "waist", "right_girdle", "left_girdle",
                "right_upper_arm", "right_forearm", "right_hand"),
-        still="frozen",
+        passive_mode="frozen",
     )  # fmt: skip
     episode_length: int = 200
     robot_obs: type = RobotObs
-    person_obs: type = PersonObs
+    human_obs: type = HumanObs
 
     def start(self, key: Array, robot: str) -> Array:
         """Where the hand starts, world [m] (1, 3)."""
@@ -127,12 +127,12 @@ class Reaching:
             **preference_terms(
                 c.preferences,
                 jnp.linalg.norm(sensed.tool.vel_w),
-                sensed.force_on_person,
+                sensed.force_on_human,
                 jnp.float32(0.0),
             ),
         }
 
-    def observe(self, state: ReachState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+    def observe(self, state: ReachState, sensed: Sensed) -> tuple[RobotObs, HumanObs]:
         """What robot and person see."""
         hand, head = sensed.tool, sensed.link_quat_w["head"]
         to_mouth = hand.pos_w - state.mouth_pos_w
@@ -143,15 +143,15 @@ class Reaching:
             hand_quat_w=hand.quat_w,
             head_quat_w=head,
         )
-        person = PersonObs(
-            hand_pos_person=hand.pos_w - sensed.person_pos_w,
+        human = HumanObs(
+            hand_pos_human=hand.pos_w - sensed.human_pos_w,
             hand_pos_mouth=to_mouth,
-            person_angles=sensed.person_angles,
+            human_angles=sensed.human_angles,
             hand_quat_w=hand.quat_w,
             head_quat_w=head,
-            force_on_person=sensed.force_on_person,
+            force_on_human=sensed.force_on_human,
         )
-        return robot, person
+        return robot, human
 
     def success(self, state: ReachState) -> Array:
         """Whether the hand is at the mouth now ()."""

@@ -15,12 +15,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from agym_jax.furniture import WHEELCHAIR
-from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
-from agym_jax.observe import column, observation, part
 from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
+from agym_jax.observe import column, observation, part
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, PersonSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 
 _H = math.sqrt(0.5)
 _RAD = math.pi / 180.0
@@ -63,21 +63,21 @@ class RobotObs:
     tool_pos_target: Array = column(3, "m", "world axes, from the itch")
     target_pos_torso: Array = column(3, "m", "world axes, from the torso")
     arm_angles: Array = column(7, "rad", "joints")
-    helped_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
+    assisted_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
     tool_force: Array = column(1, "N", "sum over all contacts of the tool")
 
 
 @observation(source="scratch_itch.py:79")
-class PersonObs:
+class HumanObs:
     """What the active person sees and feels."""
 
-    tool_pos_person: Array = column(3, "m", "world axes, from the chest")
+    tool_pos_human: Array = column(3, "m", "world axes, from the chest")
     tool_quat_w: Array = column(4, "1 (wxyz)", "world")
     tool_pos_target: Array = column(3, "m", "world axes, from the itch")
-    target_pos_person: Array = column(3, "m", "world axes, from the chest")
-    person_angles: Array = column(10, "rad", "right arm's joints")
-    helped_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
-    force_on_person: Array = column(1, "N", "tool and robot on the person")
+    target_pos_human: Array = column(3, "m", "world axes, from the chest")
+    human_angles: Array = column(10, "rad", "right arm's joints")
+    assisted_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
+    force_on_human: Array = column(1, "N", "tool and robot on the person")
     force_at_target: Array = column(1, "N", "tool on the itch")
 
 
@@ -106,7 +106,7 @@ class ScratchItch:
     goals: tuple[tuple[str, ...], ...] = (RIGHT_ARM_LINKS,)
     tool: ToolSpec = SCRATCHER
     seat: SeatSpec = WHEELCHAIR
-    person: PersonSpec = PersonSpec(
+    human: HumanSpec = HumanSpec(
         joints=RIGHT_ARM,
         # AG scratch_itch.py reset: joints_positions
         pose={
@@ -124,7 +124,7 @@ class ScratchItch:
     )  # fmt: skip
     episode_length: int = 200
     robot_obs: type = RobotObs
-    person_obs: type = PersonObs
+    human_obs: type = HumanObs
 
     def start(self, key: Array, robot: str) -> Array:
         """Where the hand starts, world [m] (1, 3). AG scratch_itch.py reset."""
@@ -187,14 +187,14 @@ class ScratchItch:
             **preference_terms(
                 c.preferences,
                 jnp.linalg.norm(sensed.tool.vel_w),
-                sensed.force_on_person,
+                sensed.force_on_human,
                 state.force_at_target,
             ),
         }
 
-    def observe(self, state: ItchState, sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+    def observe(self, state: ItchState, sensed: Sensed) -> tuple[RobotObs, HumanObs]:
         """What robot and person see."""
-        s, tool, torso, chest = sensed, sensed.tool, sensed.torso_pos_w, sensed.person_pos_w
+        s, tool, torso, chest = sensed, sensed.tool, sensed.torso_pos_w, sensed.human_pos_w
         arm_torso, arm_chest = see_arm(s)
         robot = RobotObs(
             tool_pos_torso=tool.pos_w - torso,
@@ -202,20 +202,20 @@ class ScratchItch:
             tool_pos_target=tool.pos_w - state.target_pos_w,
             target_pos_torso=state.target_pos_w - torso,
             arm_angles=s.arm_angles,
-            helped_arm=arm_torso,
+            assisted_arm=arm_torso,
             tool_force=tool.force,
         )
-        person = PersonObs(
-            tool_pos_person=tool.pos_w - chest,
+        human = HumanObs(
+            tool_pos_human=tool.pos_w - chest,
             tool_quat_w=tool.quat_w,
             tool_pos_target=tool.pos_w - state.target_pos_w,
-            target_pos_person=state.target_pos_w - chest,
-            person_angles=s.person_angles,
-            helped_arm=arm_chest,
-            force_on_person=s.force_on_person,
+            target_pos_human=state.target_pos_w - chest,
+            human_angles=s.human_angles,
+            assisted_arm=arm_chest,
+            force_on_human=s.force_on_human,
             force_at_target=state.force_at_target,
         )
-        return robot, person
+        return robot, human
 
     def success(self, state: ItchState) -> Array:
         """Whether 25 scratches have counted ()."""

@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 
 from agym_jax.errors import UnknownNameError
+from agym_jax.policy.policy import FILE_NAMES, Policy, find_policy, load_policy, shipped_human
 from train.envs import active_name, parts, static_name
 from train.errors import PolicyEnvironmentError
-from agym_jax.policy.policy import FILE_NAMES, Policy, find_policy, load_policy, shipped_person
 
 BASELINES = ("zero", "random")
 AnyPolicy = Callable[..., jax.Array]
@@ -66,7 +66,7 @@ def baseline_policy(name: str, action_size: int) -> Baseline:
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["robot", "person"],
+    data_fields=["robot", "human"],
     meta_fields=["robot_columns"],
 )
 @dataclass(frozen=True)
@@ -75,12 +75,12 @@ class Pair:
 
     Attributes:
         robot: the robot's policy.
-        person: the person's.
+        human: the person's.
         robot_columns: how many columns of the observation are the robot's; the rest the person's.
     """
 
     robot: Policy | Baseline
-    person: Policy | Baseline
+    human: Policy | Baseline
     robot_columns: int
 
     @property
@@ -93,10 +93,10 @@ class Pair:
     ) -> jax.Array:
         """The robot's action, then the person's; as ``Policy``."""
         keys = (None, None) if key is None else jax.random.split(key)
-        robot, person = obs[..., : self.robot_columns], obs[..., self.robot_columns :]
+        robot, human = obs[..., : self.robot_columns], obs[..., self.robot_columns :]
         actions = (
             self.robot(robot, keys[0], deterministic),
-            self.person(person, keys[1], deterministic),
+            self.human(human, keys[1], deterministic),
         )
         return jnp.concatenate(actions, axis=-1)
 
@@ -109,11 +109,11 @@ class PolicyFiles:
     """What the command line means: files or names of baselines; no person where none is named."""
 
     robot: str
-    person: str | None
+    human: str | None
 
 
 def find_policies(
-    env_name: str, load_dir: str | None, policy: str | None, person_policy: str | None
+    env_name: str, load_dir: str | None, policy: str | None, human_policy: str | None
 ) -> PolicyFiles:
     """The policies that the command-line tools mean, before anything is built.
 
@@ -121,7 +121,7 @@ def find_policies(
         env_name: environment id.
         load_dir: ``--save-dir`` of a training run.
         policy: of the robot (or of both at once): a file or a baseline, before ``load_dir``.
-        person_policy: of the person, the same.
+        human_policy: of the person, the same.
 
     Raises:
         PolicyNotFoundError: there is no such file.
@@ -129,21 +129,21 @@ def find_policies(
     """
     plain = env_name.rpartition(":")[2]
     acts = plain != static_name(plain)
-    if person_policy and not acts:
+    if human_policy and not acts:
         raise PolicyEnvironmentError(
-            f"In {plain!r} the person holds still and needs no --person-policy ({person_policy}). "
+            f"In {plain!r} the person holds still and needs no --human-policy ({human_policy}). "
             f"Leave it out, or use --env-name {active_name(plain)}."
         )
     robot = policy if policy in BASELINES else str(find_policy(plain, load_dir, policy))
-    person = person_policy
-    if person and person not in BASELINES:
-        person = str(find_policy(plain, None, person))
-    if person is None and acts and policy is None:
-        beside = shipped_person(plain)
+    human = human_policy
+    if human and human not in BASELINES:
+        human = str(find_policy(plain, None, human))
+    if human is None and acts and policy is None:
+        beside = shipped_human(plain)
         if load_dir is not None:
-            beside = Path(load_dir) / plain / FILE_NAMES["person"]
-        person = str(beside) if beside.is_file() else None
-    return PolicyFiles(str(robot), person)
+            beside = Path(load_dir) / plain / FILE_NAMES["human"]
+        human = str(beside) if beside.is_file() else None
+    return PolicyFiles(str(robot), human)
 
 
 def load_agent(name: str, env: Any, agent: str, any_env: bool = False) -> Policy | Baseline:
@@ -166,8 +166,8 @@ def load_policies(files: PolicyFiles, env: Any, any_env: bool = False) -> Policy
         PolicyLayoutError: it reads another observation layout, or has other sizes.
         PolicyDamagedError: a file is not whole.
     """
-    if files.person is None:
+    if files.human is None:
         return load_agent(files.robot, env, "joint" if "joint" in parts(env) else "robot", any_env)
     robot = load_agent(files.robot, env, "robot", any_env)
-    person = load_agent(files.person, env, "person", any_env)
-    return Pair(robot, person, parts(env)["robot"].observed.stop)
+    human = load_agent(files.human, env, "human", any_env)
+    return Pair(robot, human, parts(env)["robot"].observed.stop)

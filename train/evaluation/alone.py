@@ -1,4 +1,4 @@
-"""Evaluation of one world after another, for physics that JAX cannot batch: C MuJoCo.
+"""Evaluation of one environment after another, for physics that JAX cannot batch: C MuJoCo.
 
 Only the parts around the physics are compiled, in seconds.
 """
@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from train.evaluation.agents import AnyPolicy
 from train.envs import programs
+from train.evaluation.agents import AnyPolicy
 from train.evaluation.score import EvaluationResult, add_step, result_of, zero_sums
 
 
@@ -24,7 +24,7 @@ def evaluate_alone(
     """As ``train.evaluate.Evaluator``, one episode after the other.
 
     Args:
-        env: an environment of one world.
+        env: an environment of one environment.
         policy: a ``Policy``, a ``Pair`` of them, or a function ``(obs, key, deterministic) -> action``.
         num_episodes: how many.
         key: decides the episodes (and the samples of a policy that is not deterministic).

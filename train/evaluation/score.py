@@ -1,4 +1,4 @@
-"""What an evaluation found: sums over each world's first episode, and the result that they make."""
+"""What an evaluation found: sums over each environment's first episode, and the result that they make."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class EvaluationResult:
 
 
 def zero_sums(num_envs: int) -> dict[str, jax.Array]:
-    """What ``add_step`` adds to: one entry a world."""
+    """What ``add_step`` adds to: one entry an environment."""
     names = ("return", "force", "length", "success", "nan", "overflow")
     return dict.fromkeys(names, jnp.zeros(num_envs, jnp.float32))
 
@@ -112,12 +112,12 @@ def zero_sums(num_envs: int) -> dict[str, jax.Array]:
 def add_step(
     going: jax.Array, sums: dict[str, jax.Array], state: Any
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Add one step to the sums over the first episode of each world.
+    """Add one step to the sums over the first episode of each environment.
 
     Args:
-        going: 1 in the worlds whose first episode had not ended before the step    (B,).
+        going: 1 in the environments whose first episode had not ended before the step    (B,).
         sums: so far.
-        state: of all worlds after the step.
+        state: of all environments after the step.
 
     Returns:
         ``going`` and ``sums`` after the step.

@@ -56,12 +56,12 @@ def values_of(
 
     Args:
         value: value function, (..., observation) -> (...).
-        batch: a rollout of T steps of B worlds.
+        batch: a rollout of T steps of B environments.
         last_obs: observation that follows the rollout    (B, observation).
 
     Returns:
         ``values`` and ``next_values`` of ``compute_gae``    (T, B) each.
     """
     values = value(jnp.concatenate([batch.obs, last_obs[None]]))
-    terminal = jnp.where(batch.truncation > 0, value(batch.terminal_obs), 0.0)
+    terminal = jnp.where(batch.truncation > 0, value(batch.final_observation), 0.0)
     return values[:-1], jnp.where(batch.done > 0, terminal, values[1:])

@@ -1,6 +1,6 @@
 """Two learners: the robot and the person, each with a policy, value, optimiser and statistics.
 
-They share the worlds, the random key's tree and the reward, nothing else. A policy reads its own
+They share the environments, the random key's tree and the reward, nothing else. A policy reads its own
 columns of the observation. The value functions read, in training, what nobody observes besides, and
 with a central critic the other's columns too.
 """
@@ -17,16 +17,16 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.types import UInt64
 
-from train.learning.algorithm import hidden_size, policy_of, shape_of
-from train.runs.checkpoint import tree_to_arrays
-from train.configs import CoopConfig
-from train.envs import Part, parts
-from train.learning.ppo import LOSSES, LearnerState, architecture, batch_steps, init_learner, learn
 from agym_jax.policy.networks import Architecture, make_networks, mode_action, sample_action
 from agym_jax.policy.policy import Policy, load_policy
+from train.configs import CoopConfig
+from train.envs import Part, parts
+from train.learning.algorithm import policy_of, privileged_obs_size, shape_of
+from train.learning.ppo import LOSSES, LearnerState, architecture, batch_steps, init_learner, learn
 from train.learning.rollout import Batch
+from train.runs.checkpoint import tree_to_arrays
 
-AGENTS = ("robot", "person")
+AGENTS = ("robot", "human")
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Agent:
         name: "robot" or "person".
         part: what it sees and moves.
         arch: its networks.
-        judged: columns that its value function reads, of the whole observation and what is hidden.
+        critic_columns: columns that its value function reads, of the whole observation and what is hidden.
         start: the policy that it begins with; None = a new one.
         frozen: whether it stays at that.
     """
@@ -45,7 +45,7 @@ class Agent:
     name: str
     part: Part
     arch: Architecture
-    judged: tuple[int, ...]
+    critic_columns: tuple[int, ...]
     start: Policy | None
     frozen: bool
 
@@ -53,7 +53,7 @@ class Agent:
     def value_size(self) -> int | None:
         """How many columns its value function reads; None if just its own."""
         own = tuple(range(self.part.observed.start, self.part.observed.stop))
-        return None if self.judged == own else len(self.judged)
+        return None if self.critic_columns == own else len(self.critic_columns)
 
     @property
     def networks(self) -> Any:
@@ -68,13 +68,13 @@ class Agent:
             obs=batch.obs[..., self.part.observed],
             raw_action=batch.raw_action[..., self.part.acted],
             log_prob=batch.log_prob[self.name],
-            terminal_obs=self.of(batch.terminal_obs),
+            final_observation=self.of(batch.final_observation),
             value_obs=None if self.value_size is None else self.of(all_obs),
         )
 
     def of(self, all_obs: jax.Array) -> jax.Array:
         """The columns that its value function reads."""
-        return all_obs[..., np.array(self.judged)]
+        return all_obs[..., np.array(self.critic_columns)]
 
 
 @jax.tree_util.register_dataclass
@@ -106,11 +106,11 @@ def make_agent(config: CoopConfig, env: Any, name: str) -> Agent:
     if start is not None:
         arch = replace(start.arch, value_hidden=arch.value_hidden)
     whole, size = range(env.observation_size), env.observation_size
-    judged = (
+    critic_columns = (
         *(whole if config.central_critic else whole[part.observed]),
-        *range(size, size + hidden_size(config, env)),
+        *range(size, size + privileged_obs_size(config, env)),
     )
-    return Agent(name, part, arch, judged, start, getattr(config, f"freeze_{name}"))
+    return Agent(name, part, arch, critic_columns, start, getattr(config, f"freeze_{name}"))
 
 
 def start_from(learner: LearnerState, policy: Policy) -> LearnerState:

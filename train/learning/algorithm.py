@@ -13,10 +13,10 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 
-from train.configs import LearnConfig
-from train.learning.ppo import LOSSES, LearnerState, architecture, init_learner, learn
 from agym_jax.policy.networks import Architecture, make_networks, sample_action
 from agym_jax.policy.policy import Policy
+from train.configs import LearnConfig
+from train.learning.ppo import LOSSES, LearnerState, architecture, init_learner, learn
 from train.learning.rollout import Batch
 
 STARTING = ("init_noise_std", "policy_head_gain")  # of an architecture; matter at the start only
@@ -48,7 +48,7 @@ class Algorithm(Protocol):
         Args:
             learner: before it.
             batch: as collected.
-            last: what ``train.learning.rollout.everything`` tells of the worlds after it    (B, all).
+            last: what ``train.learning.rollout.critic_obs`` tells of the environments after it    (B, all).
             key: random key.
             total_steps: see ``train.learning.ppo.learn``.
             axis: the same.
@@ -74,9 +74,9 @@ def shape_of(arch: Architecture) -> dict[str, Any]:
     return {k: list(v) if isinstance(v, tuple) else v for k, v in kept.items()}
 
 
-def hidden_size(config: LearnConfig, env: Any) -> int:
+def privileged_obs_size(config: LearnConfig, env: Any) -> int:
     """How much that nobody observes the value functions read."""
-    return getattr(env, "hidden_size", 0) if config.privileged_critic else 0
+    return getattr(env, "privileged_obs_size", 0) if config.privileged_critic else 0
 
 
 class OneLearner:
@@ -94,8 +94,8 @@ class OneLearner:
         self.config, self.layout = config, env.layout_version
         self.agent = "joint" if len(env.action_sizes) > 1 else "robot"
         self.arch = architecture(config, env.observation_size, env.action_size)
-        hidden = hidden_size(config, env)
-        self.value_size = env.observation_size + hidden if hidden else None
+        privileged_obs = privileged_obs_size(config, env)
+        self.value_size = env.observation_size + privileged_obs if privileged_obs else None
         self.networks = make_networks(self.arch, self.value_size)
 
     def init(self, key: jax.Array) -> LearnerState:
@@ -120,7 +120,9 @@ class OneLearner:
         """See ``Algorithm``."""
         if self.value_size is None:
             seen = slice(0, self.arch.observation_size)
-            batch = replace(batch, value_obs=None, terminal_obs=batch.terminal_obs[..., seen])
+            batch = replace(
+                batch, value_obs=None, final_observation=batch.final_observation[..., seen]
+            )
             last = last[..., seen]
         return learn(learner, batch, last, key, self.config, self.networks, total_steps, axis)
 

@@ -1,4 +1,4 @@
-"""Several machines that train together: each runs the same command and holds a part of the worlds."""
+"""Several machines that train together: each runs the same command and holds a part of the environments."""
 
 from __future__ import annotations
 

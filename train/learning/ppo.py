@@ -1,7 +1,7 @@
 """The PPO learner of one agent: state, loss, and what one update does with one rollout.
 
 Everything here is pure. An update is generalised advantage estimation with the values of before
-it, and ``ppo_epoch`` passes of mini-batch gradient steps. Where several devices share the worlds
+it, and ``ppo_epoch`` passes of mini-batch gradient steps. Where several devices share the environments
 (``axis``), each has a part of the batch; gradients and statistics are those of all of it.
 """
 
@@ -18,9 +18,9 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import PPONetworkParams
 
 from agym_jax.jax_settings import full_precision
-from train.learning.advantage import compute_gae, values_of
-from train.configs import LearnConfig
 from agym_jax.policy.networks import STD_MIN, Architecture, init_policy, make_networks
+from train.configs import LearnConfig
+from train.learning.advantage import compute_gae, values_of
 from train.learning.rollout import Batch, strong_types
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym

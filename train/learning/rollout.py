@@ -1,4 +1,4 @@
-"""Collecting experience: a scan over steps of all worlds, with episode totals kept on the device."""
+"""Collecting experience: a scan over steps of all environments, with episode totals kept on the device."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-FORCE_KEY = "force/on_person"
+FORCE_KEY = "force/on_human"
 EPISODE_TOTALS = ("episodes", "return", "return_squared", "success", "force", "length")
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Worlds:
-    """The worlds and what their current episodes have gathered. Not saved in checkpoints."""
+class RolloutState:
+    """The environments and what their current episodes have gathered. Not saved in checkpoints."""
 
     env_state: Any  # batched state of the environment
     discounted: jax.Array  # discounted return so far, scaled reward    (B,)
@@ -38,7 +38,7 @@ class Batch:
     discounted: jax.Array  # discounted return of the episode up to this step    (T, B)
     done: jax.Array  # (T, B)
     truncation: jax.Array  # (T, B)
-    terminal_obs: (
+    final_observation: (
         jax.Array
     )  # as value_obs, last of an episode, where done    (T, B, value observation)
     value_obs: jax.Array | None = (
@@ -47,22 +47,22 @@ class Batch:
     # observation and then what is hidden    (T, B, value observation)
 
 
-def with_hidden(obs: jax.Array, hidden: jax.Array | None) -> jax.Array:
+def with_privileged(obs: jax.Array, privileged_obs: jax.Array | None) -> jax.Array:
     """An observation, and what nobody observes, where the environment tells it (..., both)."""
-    return obs if hidden is None else jnp.concatenate([obs, hidden], -1)
+    return obs if privileged_obs is None else jnp.concatenate([obs, privileged_obs], -1)
 
 
-def everything(env_state: Any) -> jax.Array:
-    """What a value function could read of the worlds (B, observation + hidden)."""
-    return with_hidden(env_state.obs, env_state.info.get("hidden"))
+def critic_obs(env_state: Any) -> jax.Array:
+    """What a value function could read of the environments (B, observation + hidden)."""
+    return with_privileged(env_state.obs, env_state.info.get("privileged_obs"))
 
 
-def first_worlds(venv: Any, key: jax.Array, stagger: bool) -> Worlds:
-    """Reset all worlds.
+def init_rollout(venv: Any, key: jax.Array, stagger: bool) -> RolloutState:
+    """Reset all environments.
 
     Args:
         venv: vectorised environment; if it has ``stagger(state, key) -> state``, that spreads the
-            worlds over the phases of an episode.
+            environments over the phases of an episode.
         key: random key.
         stagger: whether to use it.
     """
@@ -73,7 +73,7 @@ def first_worlds(venv: Any, key: jax.Array, stagger: bool) -> Worlds:
     if staggered:
         state = venv.stagger(state, key_stagger)
     state = strong_types(state)
-    return Worlds(state, zeros, zeros, zeros, zeros, zeros if staggered else zeros + 1)
+    return RolloutState(state, zeros, zeros, zeros, zeros, zeros if staggered else zeros + 1)
 
 
 def strong_types(tree: Any) -> Any:
@@ -98,19 +98,19 @@ def zero_totals(env_state: Any) -> dict[str, jax.Array]:
     return {name: jnp.zeros((), jnp.float32) for name in names}
 
 
-def account(
-    worlds: Worlds,
+def record_step(
+    rollout_state: RolloutState,
     totals: dict[str, jax.Array],
     raw_action: jax.Array,
     log_prob: Any,
     after: Any,
     gamma: float,
     reward_scaling: float,
-) -> tuple[Worlds, dict[str, jax.Array], Batch]:
-    """Take note of one step of all worlds.
+) -> tuple[RolloutState, dict[str, jax.Array], Batch]:
+    """Take note of one step of all environments.
 
     Args:
-        worlds: before the step.
+        environments: before the step.
         totals: from ``zero_totals`` or an earlier step.
         raw_action: of the step    (B, action).
         log_prob: of the action    (B,), or of each agent's by its name.
@@ -119,16 +119,16 @@ def account(
         reward_scaling: factor on the reward.
 
     Returns:
-        Worlds and totals after the step, and what it leaves for learning    (B, ...).
+        Environments and totals after the step, and what it leaves for learning    (B, ...).
     """
-    before, done, metrics = worlds.env_state, after.done, after.metrics
+    before, done, metrics = rollout_state.env_state, after.done, after.metrics
     zero = jnp.zeros_like(after.reward)
     reward = reward_scaling * after.reward
-    discounted = gamma * worlds.discounted + reward
-    episode_return = worlds.episode_return + after.reward
-    episode_force = worlds.episode_force + metrics.get(FORCE_KEY, zero)
-    length = worlds.episode_length + 1
-    ended = done * worlds.counted
+    discounted = gamma * rollout_state.discounted + reward
+    episode_return = rollout_state.episode_return + after.reward
+    episode_force = rollout_state.episode_force + metrics.get(FORCE_KEY, zero)
+    length = rollout_state.episode_length + 1
+    ended = done * rollout_state.counted
     gains = {
         "episode/episodes": ended,
         "episode/return": ended * episode_return,
@@ -151,55 +151,61 @@ def account(
         discounted=discounted,
         done=done,
         truncation=after.info["truncation"],
-        terminal_obs=with_hidden(after.info["terminal_obs"], after.info.get("terminal_hidden")),
-        value_obs=everything(before),
+        final_observation=with_privileged(
+            after.info["final_observation"], after.info.get("final_privileged_obs")
+        ),
+        value_obs=critic_obs(before),
     )
-    worlds = replace(
-        worlds,
+    rollout_state = replace(
+        rollout_state,
         env_state=strong_types(after),
         discounted=discounted * going_on,
         episode_return=episode_return * going_on,
         episode_force=episode_force * going_on,
         episode_length=length * going_on,
-        counted=jnp.maximum(worlds.counted, done),
+        counted=jnp.maximum(rollout_state.counted, done),
     )
-    return worlds, totals, batch
+    return rollout_state, totals, batch
 
 
 def collect(
     act: Callable[[jax.Array, jax.Array], tuple],
     venv: Any,
-    worlds: Worlds,
+    rollout_state: RolloutState,
     key: jax.Array,
     *,
     num_steps: int,
     gamma: float,
     reward_scaling: float,
-) -> tuple[Worlds, Batch, dict[str, jax.Array]]:
-    """Step all worlds ``num_steps`` times with the current policy.
+) -> tuple[RolloutState, Batch, dict[str, jax.Array]]:
+    """Step all environments ``num_steps`` times with the current policy.
 
     Args:
         act: (observation, key) -> action, raw sample, log-probability, as ``sample_action``.
-        venv: vectorised, auto-resetting environment of B worlds.
-        worlds: where the worlds are.
+        venv: vectorised, auto-resetting environment of B environments.
+        environments: where the environments are.
         key: random key.
         num_steps: T.
         gamma: discount, for the running discounted return.
         reward_scaling: factor on the reward.
 
     Returns:
-        The worlds afterwards, the batch, and sums over all steps (``step/*``) and over all
+        The environments afterwards, the batch, and sums over all steps (``step/*``) and over all
         episodes that ended and were seen from their start (``episode/*``).
     """
 
-    def step(carry: tuple[Worlds, dict], key: jax.Array) -> tuple[tuple[Worlds, dict], Batch]:
-        worlds, totals = carry
-        before = worlds.env_state
+    def step(
+        carry: tuple[RolloutState, dict], key: jax.Array
+    ) -> tuple[tuple[RolloutState, dict], Batch]:
+        rollout_state, totals = carry
+        before = rollout_state.env_state
         action, raw, log_prob = act(before.obs, key)
         after = venv.step(before, action)
-        worlds, totals, batch = account(worlds, totals, raw, log_prob, after, gamma, reward_scaling)
-        return (worlds, totals), batch
+        rollout_state, totals, batch = record_step(
+            rollout_state, totals, raw, log_prob, after, gamma, reward_scaling
+        )
+        return (rollout_state, totals), batch
 
-    start = (worlds, zero_totals(worlds.env_state))
-    (worlds, totals), batch = jax.lax.scan(step, start, jax.random.split(key, num_steps))
-    return worlds, batch, totals
+    start = (rollout_state, zero_totals(rollout_state.env_state))
+    (rollout_state, totals), batch = jax.lax.scan(step, start, jax.random.split(key, num_steps))
+    return rollout_state, batch, totals

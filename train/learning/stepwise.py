@@ -17,12 +17,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from train.evaluation.agents import AnyPolicy
-from train.learning.algorithm import Algorithm
 from train.configs import LearnConfig
 from train.errors import ConfigError
-from train.learning.rollout import Worlds, account, everything, first_worlds, strong_types, zero_totals
+from train.evaluation.agents import AnyPolicy
 from train.evaluation.score import EvaluationResult, add_step, result_of, zero_sums
+from train.learning.algorithm import Algorithm
+from train.learning.rollout import (
+    RolloutState,
+    critic_obs,
+    init_rollout,
+    record_step,
+    strong_types,
+    zero_totals,
+)
 
 
 class StepwiseEnv:
@@ -48,11 +55,11 @@ class StepwiseEnv:
         """Itself: the batch size is compiled in.
 
         Raises:
-            ConfigError: another number of worlds was asked for.
+            ConfigError: another number of environments was asked for.
         """
         if num_envs != self.num_envs:
             raise ConfigError(
-                f"This StepwiseEnv is compiled for {self.num_envs} worlds, not {num_envs}. Set "
+                f"This StepwiseEnv is compiled for {self.num_envs} environments, not {num_envs}. Set "
                 f"num_processes={self.num_envs}, or make another StepwiseEnv."
             )
         return self
@@ -69,43 +76,43 @@ def _aval(leaf: Any) -> jax.ShapeDtypeStruct:
 
 def start_stepwise(
     venv: StepwiseEnv, config: LearnConfig, algorithm: Algorithm, key: jax.Array
-) -> tuple[Worlds, Callable]:
-    """Worlds at their start, and ``run`` as from ``train.learning.update.make_updates``.
+) -> tuple[RolloutState, Callable]:
+    """Environments at their start, and ``run`` as from ``train.learning.update.make_updates``.
 
     Args:
         venv: the environment.
         config: resolved settings.
         algorithm: how to learn; its programs compile when called.
-        key: random key of the worlds.
+        key: random key of the environments.
     """
     act = jax.jit(algorithm.act)
-    note = jax.jit(partial(account, gamma=config.gamma, reward_scaling=config.reward_scaling))
+    note = jax.jit(partial(record_step, gamma=config.gamma, reward_scaling=config.reward_scaling))
     improve = jax.jit(algorithm.learn)
 
     def run(
-        learner: Any, worlds: Worlds, count: jax.Array, total_steps: jax.Array
-    ) -> tuple[Any, Worlds, dict[str, jax.Array]]:
-        totals = zero_totals(worlds.env_state)
+        learner: Any, rollout_state: RolloutState, count: jax.Array, total_steps: jax.Array
+    ) -> tuple[Any, RolloutState, dict[str, jax.Array]]:
+        totals = zero_totals(rollout_state.env_state)
         lost = {f"loss/{name}": jnp.zeros(()) for name in algorithm.losses}
         for _ in range(int(count)):
             key, key_rollout, key_learn = jax.random.split(learner.key, 3)
             batches = []
             for key_step in jax.random.split(key_rollout, config.num_steps):
-                action, raw, log_prob = act(learner, worlds.env_state.obs, key_step)
-                after = venv.step(worlds.env_state, action)
-                worlds, totals, batch = note(worlds, totals, raw, log_prob, after)
+                action, raw, log_prob = act(learner, rollout_state.env_state.obs, key_step)
+                after = venv.step(rollout_state.env_state, action)
+                rollout_state, totals, batch = note(rollout_state, totals, raw, log_prob, after)
                 batches.append(batch)
             learner, losses = improve(
                 replace(learner, key=key),
                 jax.tree.map(lambda *leaves: jnp.stack(leaves), *batches),
-                everything(worlds.env_state),
+                critic_obs(rollout_state.env_state),
                 key_learn,
                 total_steps,
             )
             lost = {name: lost[name] + losses[name.removeprefix("loss/")] for name in lost}
-        return learner, worlds, totals | lost
+        return learner, rollout_state, totals | lost
 
-    return first_worlds(venv, key, config.stagger), run
+    return init_rollout(venv, key, config.stagger), run
 
 
 def evaluate_stepwise(
@@ -114,13 +121,13 @@ def evaluate_stepwise(
     key: jax.Array,
     watch: Callable[[Any], None] | None = None,
 ) -> EvaluationResult:
-    """One episode of each world with the policy's mode, as ``train.evaluate.Evaluator`` does.
+    """One episode of each environment with the policy's mode, as ``train.evaluate.Evaluator`` does.
 
     Args:
         venv: the environment.
         policy: a ``Policy``, or a function like one.
         key: decides the episodes.
-        watch: is shown the state of all worlds, before the first step and after each.
+        watch: is shown the state of all environments, before the first step and after each.
     """
     start = time.perf_counter()
     act = jax.jit(lambda obs, key: policy(obs, key, True))

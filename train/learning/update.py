@@ -1,8 +1,8 @@
 """One function for many updates, and the same function on many devices.
 
 One update is a rollout (``train.learning.rollout``) and what the algorithm learns from it. Where there are
-several devices, each steps worlds of its own, and they average what they learn: an update means
-the same as one of all worlds on one device.
+several devices, each steps environments of its own, and they average what they learn: an update means
+the same as one of all environments on one device.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from train.learning.algorithm import Algorithm
 from train.configs import LearnConfig
 from train.errors import ConfigError
-from train.learning.rollout import Worlds, collect, everything, zero_totals
+from train.learning.algorithm import Algorithm
+from train.learning.rollout import RolloutState, collect, critic_obs, zero_totals
 
-AXIS = "worlds"  # of the devices
-Run = Callable[..., tuple[Any, Worlds, dict[str, jax.Array]]]
+AXIS = "rollout_state"  # of the devices
+Run = Callable[..., tuple[Any, RolloutState, dict[str, jax.Array]]]
 
 
 def make_updates(
@@ -32,32 +32,32 @@ def make_updates(
     """The function to compile: ``count`` updates in one call.
 
     Args:
-        venv: vectorised environment, of the worlds of one device.
+        venv: vectorised environment, of the environments of one device.
         config: resolved settings.
         algorithm: how to learn.
         axis: name of the axis of devices, if there are several.
 
     Returns:
-        ``run(learner, worlds, count, total_steps)``: state and worlds afterwards, and totals over
+        ``run(learner, rollout_state, count, total_steps)``: state and environments afterwards, and totals over
         all updates: those of ``train.learning.rollout`` and ``loss/*``. ``count`` (int32) and the length of
         the run, ``total_steps`` (float32), are traced: runs of every length share one compilation.
     """
 
     def run(
-        learner: Any, worlds: Worlds, count: jax.Array, total_steps: jax.Array
-    ) -> tuple[Any, Worlds, dict[str, jax.Array]]:
+        learner: Any, rollout_state: RolloutState, count: jax.Array, total_steps: jax.Array
+    ) -> tuple[Any, RolloutState, dict[str, jax.Array]]:
         def update(_: jax.Array, carry: tuple) -> tuple:
-            learner, worlds, totals = carry
+            learner, rollout_state, totals = carry
             key, key_rollout, key_learn = jax.random.split(learner.key, 3)
             if axis is not None:
                 index = jax.lax.axis_index(axis)
                 key_rollout, key_learn = (
                     jax.random.fold_in(k, index) for k in (key_rollout, key_learn)
                 )
-            worlds, batch, sums = collect(
+            rollout_state, batch, sums = collect(
                 lambda obs, key: algorithm.act(learner, obs, key),
                 venv,
-                worlds,
+                rollout_state,
                 key_rollout,
                 num_steps=config.num_steps,
                 gamma=config.gamma,
@@ -66,7 +66,7 @@ def make_updates(
             learner, losses = algorithm.learn(
                 replace(learner, key=key),
                 batch,
-                everything(worlds.env_state),
+                critic_obs(rollout_state.env_state),
                 key_learn,
                 total_steps,
                 axis,
@@ -74,17 +74,21 @@ def make_updates(
             if axis is not None:
                 sums = jax.lax.psum(sums, axis)
             sums |= {f"loss/{name}": value for name, value in losses.items()}
-            return learner, worlds, {name: total + sums[name] for name, total in totals.items()}
+            return (
+                learner,
+                rollout_state,
+                {name: total + sums[name] for name, total in totals.items()},
+            )
 
-        totals = zero_totals(worlds.env_state)
+        totals = zero_totals(rollout_state.env_state)
         totals |= {f"loss/{name}": jnp.zeros((), jnp.float32) for name in algorithm.losses}
-        return jax.lax.fori_loop(0, count, update, (learner, worlds, totals))
+        return jax.lax.fori_loop(0, count, update, (learner, rollout_state, totals))
 
     return run
 
 
 def device_mesh(wanted: int) -> Mesh | None:
-    """The devices that share the worlds.
+    """The devices that share the environments.
 
     Args:
         wanted: how many; 0 = all, those of other hosts included.
@@ -119,30 +123,30 @@ class Empty:
     dtype: Any
 
 
-def spread(mesh: Mesh, first: Callable[[jax.Array], Worlds], run: Run) -> tuple[Callable, Run]:
-    """The functions that begin and continue the worlds, on all devices.
+def shard(mesh: Mesh, first: Callable[[jax.Array], RolloutState], run: Run) -> tuple[Callable, Run]:
+    """The functions that begin and continue the environments, on all devices.
 
-    Each device has its own worlds and the whole learner. Outside, leaves of the worlds get a
-    leading axis of devices: some of Warp's buffers serve all worlds of a device and have no axis of
-    worlds. Arrays without elements are ``Empty`` there, because XLA's partitioner crashes on them
+    Each device has its own environments and the whole learner. Outside, leaves of the environments get a
+    leading axis of devices: some of Warp's buffers serve all environments of a device and have no axis of
+    environments. Arrays without elements are ``Empty`` there, because XLA's partitioner crashes on them
     (jaxlib 0.11.2 on GPUs, a segmentation fault in Shardy's ``ManualComputationUnusedInputsPattern``).
 
     Args:
         mesh: the devices.
-        first: random key -> worlds of one device.
+        first: random key -> environments of one device.
         run: from ``make_updates`` with ``AXIS``.
     """
     common, own = PartitionSpec(), PartitionSpec(AXIS)
     first, run = _own_empty_constants(first), _own_empty_constants(run)
 
-    def first_here(key: jax.Array) -> Worlds:
+    def first_here(key: jax.Array) -> RolloutState:
         return _given(first(jax.random.fold_in(key, jax.lax.axis_index(AXIS))))
 
     def run_here(
-        learner: Any, worlds: Worlds, count: jax.Array, total_steps: jax.Array
-    ) -> tuple[Any, Worlds, dict[str, jax.Array]]:
-        learner, worlds, totals = run(learner, _taken(worlds), count, total_steps)
-        return learner, _given(worlds), totals
+        learner: Any, rollout_state: RolloutState, count: jax.Array, total_steps: jax.Array
+    ) -> tuple[Any, RolloutState, dict[str, jax.Array]]:
+        learner, rollout_state, totals = run(learner, _taken(rollout_state), count, total_steps)
+        return learner, _given(rollout_state), totals
 
     # What is common is so by construction: every device computes it from averages over all.
     return (
@@ -157,18 +161,18 @@ def spread(mesh: Mesh, first: Callable[[jax.Array], Worlds], run: Run) -> tuple[
     )
 
 
-def _given(worlds: Worlds) -> Worlds:
-    """Worlds of one device, as they are outside (see ``spread``)."""
+def _given(rollout_state: RolloutState) -> RolloutState:
+    """Environments of one device, as they are outside (see ``shard``)."""
     return jax.tree.map(
-        lambda leaf: leaf[None] if leaf.size else Empty(leaf.shape, leaf.dtype), worlds
+        lambda leaf: leaf[None] if leaf.size else Empty(leaf.shape, leaf.dtype), rollout_state
     )
 
 
-def _taken(worlds: Worlds) -> Worlds:
+def _taken(rollout_state: RolloutState) -> RolloutState:
     """The reverse of ``_given``."""
     return jax.tree.map(
         lambda leaf: jnp.zeros(leaf.shape, leaf.dtype) if isinstance(leaf, Empty) else leaf[0],
-        worlds,
+        rollout_state,
         is_leaf=lambda leaf: isinstance(leaf, Empty),
     )
 
@@ -185,16 +189,16 @@ def _own_empty_constants(function: Callable[..., Any]) -> Callable[..., Any]:
     return traced
 
 
-def places(mesh: Mesh) -> tuple[NamedSharding, NamedSharding]:
+def shardings(mesh: Mesh) -> tuple[NamedSharding, NamedSharding]:
     """Where what all devices share lives, and where what each has of its own."""
     return NamedSharding(mesh, PartitionSpec()), NamedSharding(mesh, PartitionSpec(AXIS))
 
 
-def everywhere(mesh: Mesh, tree: Any) -> Any:
+def replicate(mesh: Mesh, tree: Any) -> Any:
     """A tree that all hosts have, as one that every device has."""
-    return jax.device_put(jax.device_get(tree), places(mesh)[0])
+    return jax.device_put(jax.device_get(tree), shardings(mesh)[0])
 
 
-def here(tree: Any) -> Any:
+def to_host(tree: Any) -> Any:
     """A tree that every device has, as one of this host alone."""
     return jax.tree.map(jnp.asarray, jax.device_get(tree))

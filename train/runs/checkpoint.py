@@ -3,7 +3,7 @@
 A checkpoint holds every leaf of the learner (networks, optimiser, statistics, random key, step
 count, from which the learning rate follows) under its path in the tree, and a record of what it
 belongs to with the learning curve so far. It is restored onto a learner of the right shape. The
-worlds are not saved: a resumed run begins with fresh episodes.
+environments are not saved: a resumed run begins with fresh episodes.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ def make_row(totals: Mapping[str, Any], updates: int, samples: int, episode_leng
     Returns:
         ``episodes, return, return_std, success, force, length`` of the episodes that ended (None
         where none did), ``return_per_step`` (mean reward of a step times the episode length),
-        world-steps of ``nan`` and ``overflow``, means of the environment's named metrics, losses.
+        environment steps of ``nan`` and ``overflow``, means of the environment's named metrics, losses.
     """
     value = {name: float(total) for name, total in totals.items()}
     episodes = value["episode/episodes"]
@@ -55,9 +55,9 @@ def check_row(row: Row, env_name: str, num_envs: int) -> None:
     """
     if row["overflow"] > 0:
         raise BufferOverflowError(
-            f"In {env_name!r} with {num_envs} worlds, contacts or constraints were lost in "
-            f"{row['overflow']:.0f} world-steps because the physics buffers are too small. The "
-            f"results cannot be trusted, so training stops. Use fewer worlds (--num-processes), "
+            f"In {env_name!r} with {num_envs} environments, contacts or constraints were lost in "
+            f"{row['overflow']:.0f} environment steps because the physics buffers are too small. The "
+            f"results cannot be trusted, so training stops. Use fewer environments (--num-envs), "
             f"--impl jax, or larger buffers in agym_jax.make."
         )
     bad = [k for k, v in row.items() if k.startswith("loss/") and not math.isfinite(v)]
@@ -66,6 +66,6 @@ def check_row(row: Row, env_name: str, num_envs: int) -> None:
         raise DivergedError(
             f"Training in {env_name!r} diverged before step {row['env_steps']:,}: "
             f"{', '.join(bad)} not finite. Checkpoints from before are intact. Lower --lr, or "
-            f"report it if the environment produced NaN (NaN world-steps so far: "
+            f"report it if the environment produced NaN (NaN environment steps so far: "
             f"{row['nan_total']:.0f})."
         )

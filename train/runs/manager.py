@@ -13,12 +13,12 @@ from train.configs import LearnConfig
 from train.runs.curve import Row
 from agym_jax.policy.policy import Policy
 from train.runs.folder import RunFolder
-from train.learning.update import here
+from train.learning.update import to_host
 
 Policies = Mapping[str, Policy]
 
 
-class Keeper:
+class CheckpointManager:
     """Writes what is to be kept, if anything is.
 
     Args:
@@ -93,7 +93,7 @@ class Keeper:
 
     def policies(self, learner: Any) -> Policies:
         """The policies of a learner, by agent."""
-        return self._algorithm.policies(here(learner), self._info)
+        return self._algorithm.policies(to_host(learner), self._info)
 
     def save(self, learner: Any, seconds: float) -> None:
         """A checkpoint, and the policies beside it.

@@ -26,7 +26,7 @@ class TrainResult:
         session_steps: environment steps of this session.
         compile_seconds: time to trace and compile.
         train_seconds: time of this session's training, with logging and saving.
-        nan_steps: steps of this session in which a world went non-finite.
+        nan_steps: steps of this session in which an environment went non-finite.
         interrupted: stopped by Ctrl-C, SIGTERM or ``on_log`` before the end.
         folder: where the files are; None if nothing was written.
     """
@@ -67,7 +67,7 @@ def summary(result: TrainResult) -> str:
 
     config = result.config
     word = "stopped at" if result.interrupted else "trained"
-    nan = f", {result.nan_steps} world-steps went NaN" if result.nan_steps else ""
+    nan = f", {result.nan_steps} environment steps went NaN" if result.nan_steps else ""
     text = (
         f"{config.env_name}: {word} {result.env_steps:,} steps, return {shown('return', '.1f')}, "
         f"success {shown('success', '.0%')}, force {shown('force', '.2f')} N{nan}. "

@@ -26,14 +26,14 @@ from train.configs import Config, LearnConfig, parse_arguments, resolve, updates
 from train.runs.curve import Row, check_row, make_row
 from train.envs import make_env, vectorize
 from train.learning.hosts import check_agreement, join_hosts, wait_for_hosts
-from train.runs.manager import Keeper, Policies
+from train.runs.manager import CheckpointManager, Policies
 from agym_jax.data.npz import check_writable
 from train.runs.progress import Progress, Silent, for_terminal
 from train.runs.result import TrainResult, summary
-from train.learning.rollout import Worlds, first_worlds
+from train.learning.rollout import RolloutState, init_rollout
 from train.runs.folder import RunFolder
 from train.learning.stepwise import StepwiseEnv, start_stepwise
-from train.learning.update import AXIS, device_mesh, everywhere, here, make_updates, places, spread
+from train.learning.update import AXIS, device_mesh, replicate, to_host, make_updates, shardings, shard
 
 SAVE_PERIOD = 60.0  # seconds after which a checkpoint is due at the next log line
 UNIMPORTANT = ("save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts")
@@ -72,17 +72,17 @@ def run_session(
     Returns:
         Policies, learning curve and times.
     """
-    speaks = jax.process_index() == 0  # one host writes, and tells
-    progress = (progress if speaks else None) or Silent()
+    is_main_process = jax.process_index() == 0  # one host writes, and tells
+    progress = (progress if is_main_process else None) or Silent()
     folder = RunFolder(config.save_dir, env.name) if config.save_dir is not None else None
-    if folder and speaks and (aside := folder.prepare(config.fresh)):
+    if folder and is_main_process and (aside := folder.prepare(config.fresh)):
         progress.say(f"Starting over; the earlier run is now in {aside}")
     wait_for_hosts("folder")
 
     start = time.perf_counter()
-    venv = vectorize(env, config.num_processes // config.devices)
-    key_learner, key_worlds = jax.random.split(jax.random.PRNGKey(config.seed))
-    keeper = Keeper(env, config, algorithm, folder, writes=speaks)
+    venv = vectorize(env, config.num_envs // config.devices)
+    key_learner, key_envs = jax.random.split(jax.random.PRNGKey(config.seed))
+    keeper = CheckpointManager(env, config, algorithm, folder, writes=is_main_process)
     learner, meta = keeper.resume(jax.jit(algorithm.init)(key_learner))
     first_steps = int(learner.env_steps)
     if meta:
@@ -90,17 +90,17 @@ def run_session(
     check_agreement("the step to go on from", first_steps, "They need a common --save-dir.")
     keeper.begin(first_steps)
 
-    batch = config.num_processes * config.num_steps
+    batch = config.num_envs * config.num_steps
     total_steps = updates_in(config.num_env_steps, batch) * batch
-    worlds: Any = None
+    rollout_state: Any = None
     run: Any = None
     if first_steps < total_steps:
         # A resumed run gets fresh episodes, and other ones than the run before it began with.
-        key_worlds = jax.random.fold_in(key_worlds, first_steps)
+        key_envs = jax.random.fold_in(key_envs, first_steps)
         if isinstance(venv, StepwiseEnv):
-            worlds, run = start_stepwise(venv, config, algorithm, key_worlds)
+            rollout_state, run = start_stepwise(venv, config, algorithm, key_envs)
         else:
-            learner, worlds, run = _compile(venv, config, algorithm, learner, key_worlds, mesh)
+            learner, rollout_state, run = _compile(venv, config, algorithm, learner, key_envs, mesh)
     else:
         progress.say("This run is complete; raise --num-env-steps to go on.")
     compile_seconds = time.perf_counter() - start
@@ -114,7 +114,7 @@ def run_session(
         while env_steps < total_steps and not interrupted:
             count = min(config.log_interval, math.ceil((total_steps - env_steps) / batch))
             began = time.perf_counter()
-            next_learner, worlds, totals = run(learner, worlds, np.int32(count), length)
+            next_learner, rollout_state, totals = run(learner, rollout_state, np.int32(count), length)
             totals = jax.device_get(totals)
             now = time.perf_counter()
             row = make_row(totals, count, count * batch, env.episode_length)
@@ -125,7 +125,7 @@ def run_session(
                 "steps_per_second": count * batch / (now - began),
                 "nan_total": nan_steps,
             }
-            check_row(row, env.name, config.num_processes)
+            check_row(row, env.name, config.num_envs)
             learner, env_steps = next_learner, env_steps + count * batch
             keeper.add(row)
             progress.update(row)
@@ -145,7 +145,7 @@ def run_session(
     train_seconds = time.perf_counter() - start
     return TrainResult(
         policies=keeper.finish(learner),
-        learner=here(learner),
+        learner=to_host(learner),
         config=config,
         curve=keeper.curve,
         env_steps=env_steps,
@@ -154,7 +154,7 @@ def run_session(
         train_seconds=train_seconds,
         nan_steps=nan_steps,
         interrupted=interrupted,
-        folder=folder.path if folder and speaks else None,
+        folder=folder.path if folder and is_main_process else None,
     )
 
 
@@ -165,25 +165,25 @@ def _compile(
     learner: Any,
     key: jax.Array,
     mesh: Mesh | None,
-) -> tuple[Any, Worlds, Callable]:
-    """The learner where it belongs, worlds at their start, the compiled function for many updates."""
+) -> tuple[Any, RolloutState, Callable]:
+    """The learner where it belongs, environments at their start, the compiled function for many updates."""
 
-    def first(key: jax.Array) -> Worlds:
-        return first_worlds(venv, key, config.stagger)
+    def first(key: jax.Array) -> RolloutState:
+        return init_rollout(venv, key, config.stagger)
 
     run = make_updates(venv, config, algorithm, AXIS if mesh else None)
     common = own = None
     if mesh:
-        common, own = places(mesh)
-        first, run = spread(mesh, first, run)
-        learner, key = everywhere(mesh, (learner, key))
+        common, own = shardings(mesh)
+        first, run = shard(mesh, first, run)
+        learner, key = replicate(mesh, (learner, key))
     # XLA would leave Warp's empty buffers anywhere, so every place is said.
     reset = jax.jit(first, out_shardings=own).lower(key)
-    worlds = jax.tree.map(
+    rollout_state = jax.tree.map(
         lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=own), reset.out_info
     )
     update = jax.jit(run, out_shardings=(common, own, common))
-    update = update.lower(learner, worlds, np.int32(1), np.float32(1))
+    update = update.lower(learner, rollout_state, np.int32(1), np.float32(1))
     with ThreadPoolExecutor(2) as pool:  # XLA compiles outside of Python's lock
         begin, go = pool.map(lambda lowered: lowered.compile(), (reset, update))
     return learner, jax.block_until_ready(begin(key)), go

@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from agym_jax.matter.cloth.solver import anchor_positions, initial, step
 from agym_jax.matter.cloth.garment import Garment
+from agym_jax.matter.cloth.solver import anchor_positions, initial, step
+from agym_jax.matter.cloth.topology import ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import no_capsules
-from agym_jax.matter.cloth.topology import ClothSpec, Fabric, weave
 
 DT = 0.01  # physics step [s]
 TIME = 12.0  # [s]
@@ -29,7 +29,7 @@ def settle(garment: Garment, fabric: Fabric = Fabric()) -> Garment:  # noqa: B00
         garment: upright in its frame, held at its anchors.
         fabric: its properties.
     """
-    spec: ClothSpec = weave(garment, replace(fabric, damping=CALM))
+    spec: ClothSpec = build_cloth(garment, replace(fabric, damping=CALM))
     anchors, nothing = anchor_positions(spec, jnp.zeros(3)), no_capsules()
 
     @jax.jit

@@ -1,6 +1,6 @@
-"""The substeps of a physics step of cloth: one GPU kernel with one program a world, or a loop that XLA compiles.
+"""The substeps of a physics step of cloth: one GPU kernel with one program an environment, or a loop that XLA compiles.
 
-XLA makes one kernel of each colour of edges, and each of them reads and writes the positions of all worlds. In
+XLA makes one kernel of each colour of edges, and each of them reads and writes the positions of all environments. In
 the kernel here positions and velocities stay in the registers of the program of their world; to look at each
 other, vertices write their positions to a memory that only this program uses and read those of their partners.
 
@@ -24,7 +24,7 @@ from agym_jax.matter.fused_scan import kernel_or_xla
 from agym_jax.matter.shapes import Xyz, columns
 
 WARPS = 16
-"""Of 32 threads each, that work on one world: 2 vertices of a gown to a thread."""
+"""Of 32 threads each, that work on one environment: 2 vertices of a gown to a thread."""
 
 At = int | tuple[int, int | Array]
 """A row, or a row and numbers in it."""
@@ -79,7 +79,7 @@ class InMemory:
 def advance(
     substep: Substep, tables: Any, pos_w: Array, vel_w: Array, path: Any, held: Array | None
 ) -> tuple[Array, Array, Xyz, Array]:
-    """State of a world's cloth after all substeps.
+    """State of an environment's cloth after all substeps.
 
     On an NVIDIA GPU it is one kernel; everywhere else, and in derivatives, XLA compiles it.
 

@@ -2,7 +2,7 @@
 
 Facts: reference tasks.md section 6. The points are two interleaved triangles that span the opening. The sleeve is
 on a segment of the arm where the segment crosses one of the triangles and the points lie on both sides of it.
-Everything is for one world, in world coordinates, [m].
+Everything is for one environment, in world coordinates, [m].
 
 DEVIATION(sleeve-now): what the sleeve is on counts, or was on within the last 0.5 s: in a pull round the elbow it
 is on neither segment for 0.2 to 0.4 s. AG's flags stay set for the rest of the episode, so that a sleeve that has
@@ -32,7 +32,7 @@ REMEMBERED = 5
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Arm:
+class SleeveArm:
     """Joints of the arm to be dressed."""
 
     shoulder_w: Array  # [m]                                                (3,)
@@ -127,7 +127,7 @@ def surrounds(points_w: Array, distal_w: Array, proximal_w: Array) -> Array:
     return both & crossed(distal_w, proximal_w, points_w).any()
 
 
-def worn(points_w: Array, arm: Arm) -> Worn:
+def worn(points_w: Array, arm: SleeveArm) -> Worn:
     """What the sleeve is on now.
 
     Args:
@@ -140,7 +140,7 @@ def worn(points_w: Array, arm: Arm) -> Worn:
     )
 
 
-def dressed(points_w: Array, arm: Arm, on_arm: Worn) -> Array:
+def dressed(points_w: Array, arm: SleeveArm, on_arm: Worn) -> Array:
     """AG's r_dress [m] (): way up the arm, or minus the way to the hand.
 
     Args:
@@ -155,7 +155,7 @@ def dressed(points_w: Array, arm: Arm, on_arm: Worn) -> Array:
     return jnp.where(on_arm.upper_arm, on_upper, jnp.where(on_forearm, from_hand, -from_hand))
 
 
-def progress(points_w: Array, arm: Arm) -> Array:
+def progress(points_w: Array, arm: SleeveArm) -> Array:
     """Share of the way from the tip of the hand to the shoulder that the sleeve has done now () in 0..1.
 
     Zero while the sleeve is on neither segment. Unlike AG's, it means the same for a long and a short arm.

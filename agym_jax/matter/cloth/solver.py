@@ -1,4 +1,4 @@
-"""Cloth: extended position-based dynamics of one garment in one world, in plain JAX beside MJX.
+"""Cloth: extended position-based dynamics of one garment in one environment, in plain JAX beside MJX.
 
 A physics step is cut into short substeps, each with one sweep ("small steps": for the same work stiffer than
 many sweeps of long steps). In a substep vertices fall freely; bending springs and tethers to the anchors act;
@@ -6,7 +6,7 @@ the edges are relaxed colour by colour, each wholly; at last vertices are put ou
 friction. Velocities follow from positions, so collisions are inelastic, and the impulses of the last part are
 exactly what the solids feel: impulse over time is the force [N].
 
-Anchors are where the gripper carries them, or behind it where the cloth slides through its fingers (``give_way``):
+Anchors are where the gripper carries them, or behind it where the cloth slides through its fingers (``slip``):
 between two vertices whose edge is stretched to several times its length a limb would come through. Tethers are
 limits: no vertex is farther from its nearest anchor than the way along the cloth. They carry the weight of what
 hangs, which single sweeps would take long to hand up to the gripper.
@@ -33,8 +33,8 @@ from jax import Array
 from jax.lax import rsqrt
 
 from agym_jax.matter.cloth.kernel import InArrays, Rows, Show, State, advance
-from agym_jax.matter.shapes import TINY, Capsules, Xyz, add, columns, dot, each, length, scale, sub
 from agym_jax.matter.cloth.topology import ClothSpec, Sweep, Tables, tables
+from agym_jax.matter.shapes import TINY, Capsules, Xyz, add, columns, dot, each, length, scale, sub
 
 HEALING = 0.2
 """Share of an old overlap with a solid that heals in a substep: by displacement, without speed or force."""
@@ -156,7 +156,7 @@ def _stretch(spec: ClothSpec, pos_w: Array) -> Array:
     return jnp.sqrt(jnp.max(squared * jnp.asarray((edges.active / edges.rest) ** 2, jnp.float32)))
 
 
-def give_way(slid: Array, touch: Touch, dt: float) -> Array:
+def slip(slid: Array, touch: Touch, dt: float) -> Array:
     """How far cloth has slid through the fingers that hold it, a physics step later [m] (3,).
 
     Where it is stretched beyond ``HELD`` it slides towards what pulls; else the fingers gather it in again. What

@@ -53,7 +53,7 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Fabric:
-    """Properties of cloth and of its solver. Hashable; ``weave`` joins it with a garment.
+    """Properties of cloth and of its solver. Hashable; ``build_cloth`` joins it with a garment.
 
     Attributes:
         stretch: compliance along the threads [m/N]: cotton gives a few percent at 100 N/m.
@@ -168,7 +168,7 @@ def _shares(pairs: Pairs, inverse: np.ndarray, h: float) -> np.ndarray:
     return pairs.active * inverse / np.maximum(both, 1e-12)
 
 
-def weave(garment: Garment, fabric: Fabric = Fabric(), thinnest: float = 0.027) -> ClothSpec:
+def build_cloth(garment: Garment, fabric: Fabric = Fabric(), thinnest: float = 0.027) -> ClothSpec:
     """Make a garment ready for the solver.
 
     Args:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from agym_jax.errors import AgymError
-from agym_jax.matter.particles.solver import ParticleSpec
 from agym_jax.matter.particles.containers import Vessel
+from agym_jax.matter.particles.solver import ParticleSpec
 
 PACKING = 0.5
 """Share of the room that spheres may take up: loosely packed, they fill 0.55 of it."""

@@ -16,8 +16,8 @@ from jax import Array
 from jax.lax import rsqrt
 
 from agym_jax.matter.fused_scan import SumOver, at_once
-from agym_jax.matter.shapes import TINY, Touching, Xyz, add, dot, each, scale, sub
 from agym_jax.matter.particles.containers import Vessel
+from agym_jax.matter.shapes import TINY, Touching, Xyz, add, dot, each, scale, sub
 
 RECOVERY = 0.05
 """Speed at which shallow overlaps heal [m/s]: slow enough not to be seen, or felt as a bounce."""

@@ -1,4 +1,4 @@
-"""Food and water: spheres moved by position-based dynamics, one world, beside MJX.
+"""Food and water: spheres moved by position-based dynamics, one environment, beside MJX.
 
 In every substep the particles fall freely, are pushed out of the person, the furniture and the floor,
 and then, in the moving frame of the vessel, a few sweeps push them out of each other and of the
@@ -27,8 +27,16 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from agym_jax.matter.fused_scan import SumOver, walk, widen
-from agym_jax.matter.particles.constraints import CALM, EAGER, push_out, push_pairs, push_vessel, solid_pushes
+from agym_jax.matter.fused_scan import SumOver, fused_scan, widen
+from agym_jax.matter.particles.constraints import (
+    CALM,
+    EAGER,
+    push_out,
+    push_pairs,
+    push_vessel,
+    solid_pushes,
+)
+from agym_jax.matter.particles.containers import CUP, SPOON, Vessel
 from agym_jax.matter.shapes import (
     Boxes,
     Capsules,
@@ -49,7 +57,6 @@ from agym_jax.matter.shapes import (
     turn,
     turn_back,
 )
-from agym_jax.matter.particles.containers import CUP, SPOON, Vessel
 
 AWAY = 100.0
 """Masked particles are computed this far from each other and from everything [m]."""
@@ -113,7 +120,7 @@ class Obstacles:
 
     vessel_pos_w: Array  # [m]                                              (T?, 3)
     vessel_quat_w: Array  # wxyz                                            (T?, 4)
-    person: Capsules  # ends (T?, k, 3), radii (k,)
+    human: Capsules  # ends (T?, k, 3), radii (k,)
     furniture: Boxes  # at rest
     floor: Array  # height [m]                                              ()
 
@@ -124,7 +131,7 @@ class Contact:
     """What every particle touched in the last physics step; masked ones touch nothing."""
 
     vessel: Array  # (n,) bool
-    person: Array  # (n,) bool
+    human: Array  # (n,) bool
     furniture: Array  # (n,) bool
     floor: Array  # (n,) bool
     lost: Array  # that went non-finite on the whole way and were masked    () int32
@@ -167,16 +174,16 @@ def step(
         dt: its length [s].
     """
     pair = lambda a, b: jnp.stack([a, b])  # noqa: E731
-    person = replace(
-        end.person,
-        a_w=pair(start.person.a_w, end.person.a_w),
-        b_w=pair(start.person.b_w, end.person.b_w),
+    human = replace(
+        end.human,
+        a_w=pair(start.human.a_w, end.human.a_w),
+        b_w=pair(start.human.b_w, end.human.b_w),
     )
     motion = replace(
         end,
         vessel_pos_w=pair(start.vessel_pos_w, end.vessel_pos_w),
         vessel_quat_w=pair(start.vessel_quat_w, end.vessel_quat_w),
-        person=person,
+        human=human,
     )
     return advance(spec, particles, motion, dt)
 
@@ -202,12 +209,12 @@ def advance(
     vel = tuple(jnp.where(alive, x, 0.0) for x in columns(particles.vel_w))
 
     moments = _interpolate(motion, spec.substeps)
-    radius, furniture = jax.tree.map(_widen, (motion.person.radius, motion.furniture.columns()))
+    radius, furniture = jax.tree.map(_widen, (motion.human.radius, motion.furniture.columns()))
     still = _Still(radius, furniture, motion.floor)
     local, alone = jax.tree.map(lambda x: x[0], moments).local(pos), jnp.zeros(spec.count)
     _, contacts = push_pairs(spec.radius, spec.friction, local, local, alone, CALM, h)
     unseen = (jnp.zeros(spec.count, bool),) * 4
-    carry = walk(partial(_substep, spec, h), (pos, vel, contacts, unseen), moments, still)
+    carry = fused_scan(partial(_substep, spec, h), (pos, vel, contacts, unseen), moments, still)
     (pos, vel), seen = (jnp.stack(x, -1) for x in carry[:2]), carry[-1]
     moves = alive & _is_finite(pos, vel)
     kept = jnp.where(jnp.isfinite(particles.pos_w), particles.pos_w, 0.0)
@@ -289,7 +296,7 @@ def _interpolate(motion: Obstacles, substeps: int) -> _Moving:
     return _Moving(
         pos_w=each(fill, columns(motion.vessel_pos_w)),
         rot_w=rotation_rows(*quat_columns(fill(quat))),
-        ends_w=jax.tree.map(lambda x: fill(_widen(x)), motion.person.ends()),
+        ends_w=jax.tree.map(lambda x: fill(_widen(x)), motion.human.ends()),
     )
 
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from jax import Array
 
-from agym_jax.observe import column, observation
 from agym_jax.human.body import RIGHT_ARM_LINKS
+from agym_jax.observe import column, observation
 from agym_jax.sense import Sensed
 
 
@@ -25,9 +25,9 @@ class ArmFromTorso:
 class ArmFromChest:
     """The arm as the active person feels it."""
 
-    shoulder_pos_person: Array = column(3, "m", "world axes, from the chest")
-    elbow_pos_person: Array = column(3, "m", "world axes, from the chest")
-    wrist_pos_person: Array = column(3, "m", "world axes, from the chest")
+    shoulder_pos_human: Array = column(3, "m", "world axes, from the chest")
+    elbow_pos_human: Array = column(3, "m", "world axes, from the chest")
+    wrist_pos_human: Array = column(3, "m", "world axes, from the chest")
 
 
 def see_arm(sensed: Sensed) -> tuple[ArmFromTorso, ArmFromChest]:
@@ -35,5 +35,5 @@ def see_arm(sensed: Sensed) -> tuple[ArmFromTorso, ArmFromChest]:
     joints = [sensed.link_pos_w[link] for link in RIGHT_ARM_LINKS]
     return (
         ArmFromTorso(*(joint - sensed.torso_pos_w for joint in joints)),
-        ArmFromChest(*(joint - sensed.person_pos_w for joint in joints)),
+        ArmFromChest(*(joint - sensed.human_pos_w for joint in joints)),
     )

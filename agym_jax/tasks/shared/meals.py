@@ -16,13 +16,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from agym_jax.human.body import HEAD
+from agym_jax.human.capsules import link_capsules
 from agym_jax.matter.particles.solver import Obstacles, Particles
 from agym_jax.matter.shapes import Boxes, Capsules
 from agym_jax.observe import column, observation
-from agym_jax.human.body import HEAD
-from agym_jax.human.capsules import link_capsules
 from agym_jax.sense import Sensed
-from agym_jax.spec import PersonSpec, Pose
+from agym_jax.spec import HumanSpec, Pose
 
 _RAD = math.pi / 180.0
 
@@ -39,14 +39,14 @@ thicker."""
 SEEN = "feeding.py, drinking.py _get_obs"
 
 
-def eater(rate: float, max_torque: float) -> PersonSpec:
+def diner(rate: float, max_torque: float) -> HumanSpec:
     """The person who is fed. AG feeding.py, drinking.py reset; humans.md sections 5 to 7.
 
     Args:
         rate: AG's gain over its solver sub-step [1/s].
         max_torque: of a person of full strength [N m].
     """
-    return PersonSpec(
+    return HumanSpec(
         joints=HEAD,
         pose={
             "r_elbow_x": -90 * _RAD, "l_elbow_x": -90 * _RAD, "r_hip_x": -90 * _RAD,
@@ -60,7 +60,7 @@ def eater(rate: float, max_torque: float) -> PersonSpec:
         impairments=("none", "limits", "weakness", "tremor"),
         limbs=TOUCHABLE,
         links=BELOW,
-        still="frozen",
+        passive_mode="frozen",
     )  # fmt: skip
 
 
@@ -74,24 +74,24 @@ class RobotObs:
     arm_angles: Array = column(7, "rad", "joints", SEEN)
     head_pos_torso: Array = column(3, "m", "world axes, from the torso", SEEN)
     head_quat_w: Array = column(4, "1 (wxyz)", "world", SEEN)
-    tool_on_person: Array = column(1, "N", "tool on the person", SEEN)
+    tool_on_human: Array = column(1, "N", "tool on the person", SEEN)
 
 
 @observation
-class PersonObs:
+class HumanObs:
     """What the active person sees and feels."""
 
-    tool_pos_person: Array = column(3, "m", "world axes, from the chest", SEEN)
+    tool_pos_human: Array = column(3, "m", "world axes, from the chest", SEEN)
     tool_quat_w: Array = column(4, "1 (wxyz)", "world", SEEN)
     tool_pos_mouth: Array = column(3, "m", "world axes, from the mouth", SEEN)
-    person_angles: Array = column(4, "rad", "neck and head joints", SEEN)
-    head_pos_person: Array = column(3, "m", "world axes, from the chest", SEEN)
+    human_angles: Array = column(4, "rad", "neck and head joints", SEEN)
+    head_pos_human: Array = column(3, "m", "world axes, from the chest", SEEN)
     head_quat_w: Array = column(4, "1 (wxyz)", "world", SEEN)
-    robot_on_person: Array = column(1, "N", "robot on the person", SEEN)
-    tool_on_person: Array = column(1, "N", "tool on the person", SEEN)
+    robot_on_human: Array = column(1, "N", "robot on the person", SEEN)
+    tool_on_human: Array = column(1, "N", "tool on the person", SEEN)
 
 
-def observe(sensed: Sensed) -> tuple[RobotObs, PersonObs]:
+def observe(sensed: Sensed) -> tuple[RobotObs, HumanObs]:
     """What robot and person see."""
     s, tool = sensed, sensed.tool
     head, quat = s.link_pos_w["head"], s.link_quat_w["head"]
@@ -103,22 +103,22 @@ def observe(sensed: Sensed) -> tuple[RobotObs, PersonObs]:
         arm_angles=s.arm_angles,
         head_pos_torso=head - s.torso_pos_w,
         head_quat_w=quat,
-        tool_on_person=s.tool_on_person,
+        tool_on_human=s.tool_on_human,
     )
-    person = PersonObs(
-        tool_pos_person=tool.pos_w - s.person_pos_w,
+    human = HumanObs(
+        tool_pos_human=tool.pos_w - s.human_pos_w,
         tool_quat_w=tool.quat_w,
         tool_pos_mouth=to_mouth,
-        person_angles=s.person_angles,
-        head_pos_person=head - s.person_pos_w,
+        human_angles=s.human_angles,
+        head_pos_human=head - s.human_pos_w,
         head_quat_w=quat,
-        robot_on_person=s.robot_on_person,
-        tool_on_person=s.tool_on_person,
+        robot_on_human=s.robot_on_human,
+        tool_on_human=s.tool_on_human,
     )
-    return robot, person
+    return robot, human
 
 
-class Fates(NamedTuple):
+class Outcome(NamedTuple):
     """What became of every particle in one control step; the masks exclude each other."""
 
     eaten: Array  # (n,) bool
@@ -138,20 +138,20 @@ def obstacles(sensed: Sensed, vessel: Pose, furniture: Boxes) -> Obstacles:
     motion = sensed.motion
     pos, quat = attach(motion.tool_pos_w, motion.tool_quat_w, vessel)
     links = (*TOUCHABLE, *BELOW)
-    person = link_capsules(sensed.dims, links, motion.link_pos_w, motion.link_rot_w)
+    human = link_capsules(sensed.dims, links, motion.link_pos_w, motion.link_rot_w)
     return Obstacles(
         vessel_pos_w=pos,
         vessel_quat_w=quat,
-        person=Capsules(*person),
+        human=Capsules(*human),
         furniture=furniture,
         floor=jnp.float32(0.0),
     )
 
 
-HIDDEN_SIZE = 5
+PRIVILEGED_OBS_SIZE = 5
 
 
-def hidden(matter: Particles, eaten: Array, mouth_pos_w: Array) -> Array:
+def privileged_obs(matter: Particles, eaten: Array, mouth_pos_w: Array) -> Array:
     """What is left and where: what rewards to come depend on and nobody observes (HIDDEN_SIZE,).
 
     Args:

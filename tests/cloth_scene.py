@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from agym_jax.matter.cloth.solver import Cloth, Touch, give_way, in_hand, initial, step
 from agym_jax.matter.cloth.garment import Garment
-from agym_jax.matter.shapes import Capsules, capsules_touching, no_capsules
 from agym_jax.matter.cloth.sleeve import Arm, crossed, dressed, progress, watched_vertices, worn
+from agym_jax.matter.cloth.solver import Cloth, Touch, in_hand, initial, slip, step
 from agym_jax.matter.cloth.topology import ClothSpec
+from agym_jax.matter.shapes import Capsules, capsules_touching, no_capsules
 from agym_jax.tasks.dressing import BELOW_HAND, UP, held_at, swivel
 
 DT = 0.01
@@ -141,7 +141,7 @@ def pull_on(
         turned = swivel(heading, after - before)
         held = held_at(spec, before + slid, heading), held_at(spec, after + slid, turned)
         cloth, touch = step(spec, cloth, capsules, capsules, *held, DT, in_hand(slid))
-        slid = give_way(slid, touch, DT)
+        slid = slip(slid, touch, DT)
         points = cloth.pos_w[watched]
         latched = worn(points, arm).after(latched)
         corners = cloth.pos_w[triangles]

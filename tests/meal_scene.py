@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from agym_jax.offline.kinematics import rotation_matrix
-from agym_jax.matter.particles.solver import Contact, Particles
 from agym_jax.human import anthropometry
 from agym_jax.human.body import LINKS
+from agym_jax.matter.particles.solver import Contact, Particles
+from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.sense import Motion, Sensed, ToolSensed
 
 HEAD, CHEST = np.array([0.0, 0.03, 1.1785]), np.array([0.0, 0.03, 0.89])  # humans.md section 5
@@ -22,7 +22,7 @@ FAR = np.array([0.5, 0.6, 0.7])  # from where nothing of this is near [m]
 AIR = {
     "pos_w": np.array([-0.1, -0.5, 1.1]), "quat_w": np.array([1.0, 0, 0, 0]), "vel_w": np.zeros(3),
     "gap": 0.3, "touch_force": np.zeros(2), "touch_pos_w": np.zeros((2, 3)),
-    "touch_working": np.ones(2), "on_person": 0.0, "force": 0.0,
+    "touch_working": np.ones(2), "on_human": 0.0, "force": 0.0,
 }  # fmt: skip
 UPRIGHT = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])
 """Turns a tool's y axis upwards."""
@@ -61,8 +61,8 @@ def sensed(
         "link_rot_w": {k: still(v) for k, v in rot.items()},
     }  # fmt: skip
     rest = {
-        "arm_angles": np.arange(7.0), "torso_pos_w": TORSO, "person_angles": np.arange(4.0),
-        "robot_on_person": pushes,
+        "arm_angles": np.arange(7.0), "torso_pos_w": TORSO, "human_angles": np.arange(4.0),
+        "robot_on_human": pushes,
     }  # fmt: skip
     return Sensed(
         tools=(ToolSensed(**arrays(held | {"pos_w": path[-1]})),),
@@ -85,7 +85,7 @@ def particles(places: Any, speeds: Any = 0.0, alive: Any = True) -> Particles:
 
 
 def touched(n: int, **groups: Any) -> Contact:
-    """What n particles touched: masks by group (``person``, ``furniture``, ...), none if not named."""
+    """What n particles touched: masks by group (``human``, ``furniture``, ...), none if not named."""
     mask = lambda x: jnp.broadcast_to(jnp.asarray(x, bool), (n,))  # noqa: E731
-    names = ("vessel", "person", "furniture", "floor")
+    names = ("vessel", "human", "furniture", "floor")
     return Contact(*(mask(groups.get(x, False)) for x in names), lost=jnp.int32(0))

@@ -10,12 +10,12 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from train.configs import CoopConfig
-from train.envs import make_env, refuse_static_human
-from train.learning.agents import TwoLearners
-from train.runs.progress import Progress
-from train.runs.result import TrainResult
-from train.runs.session import OnLog, command_line, run_session, settle
+from .configs import CoopConfig
+from .envs import make_env, refuse_static_human
+from .learning.agents import TwoLearners
+from .runs.progress import Progress
+from .runs.result import TrainResult
+from .runs.session import OnLog, command_line, run_session, settle
 
 
 def train(

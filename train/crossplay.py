@@ -18,13 +18,14 @@ import tyro
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
 from agym_jax.policy.policy import FILE_NAMES, Policy, check_policy, find_policy
-from train.configs import Count
-from train.envs import make_env, parts, refuse_static_human, static_name
-from train.errors import ConfigError
-from train.evaluate import Evaluator
-from train.evaluation.agents import BASELINES, Baseline, Pair, load_agent
-from train.evaluation.score import EvaluationResult
-from train.runs.record import append_record, record
+
+from .configs import Count
+from .envs import make_env, parts, refuse_static_human, static_name
+from .errors import ConfigError
+from .evaluate import Evaluator
+from .evaluation.agents import BASELINES, Baseline, Pair, load_agent
+from .evaluation.score import EvaluationResult
+from .runs.record import append_record, record
 
 STILL = "(holds still)"
 Matrix = dict[tuple[str, str], EvaluationResult]

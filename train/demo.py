@@ -25,16 +25,17 @@ import tyro
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
 from agym_jax.policy.policy import find_policy, load_policy
-from train.configs import Count, config_for
-from train.enjoy import Frame, caption
-from train.envs import make_env, vectorize
-from train.evaluation.agents import baseline_policy
-from train.evaluation.score import EvaluationResult
-from train.learning.rollout import FORCE_KEY
-from train.learning.stepwise import StepwiseEnv, evaluate_stepwise
-from train.ppo import OnLog, train
-from train.runs.progress import for_terminal
-from train.runs.result import summary
+
+from .configs import Count, config_for
+from .enjoy import Frame, caption
+from .envs import make_env, vectorize
+from .evaluation.agents import baseline_policy
+from .evaluation.score import EvaluationResult
+from .learning.rollout import FORCE_KEY
+from .learning.stepwise import StepwiseEnv, evaluate_stepwise
+from .ppo import OnLog, train
+from .runs.progress import for_terminal
+from .runs.result import summary
 
 FILM_SPEED = 4.0  # times real time
 LEAST_TRAINING = 60.0  # s, however late it is

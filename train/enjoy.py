@@ -21,11 +21,12 @@ import tyro
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
 from agym_jax.rendering.meshes import check_visuals
-from train.configs import Count
-from train.envs import make_env, programs
-from train.errors import ConfigError
-from train.evaluation.agents import AnyPolicy, find_policies, load_policies
-from train.learning.rollout import FORCE_KEY
+
+from .configs import Count
+from .envs import make_env, programs
+from .errors import ConfigError
+from .evaluation.agents import AnyPolicy, find_policies, load_policies
+from .learning.rollout import FORCE_KEY
 
 SHEET_PICTURES = 20
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 
-from train.errors import ActiveHumanError
+from .errors import ActiveHumanError
 
 
 def make_env(env_name: str, impl: str = "auto") -> Any:

@@ -19,13 +19,14 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
-from train.configs import Count
-from train.envs import make_env, vectorize
-from train.errors import ConfigError
-from train.evaluation.agents import TREES, AnyPolicy, baseline_policy, find_policies, load_policies
-from train.evaluation.alone import evaluate_alone
-from train.evaluation.score import EvaluationResult, add_step, result_of, zero_sums
-from train.runs.record import append_record, record
+
+from .configs import Count
+from .envs import make_env, vectorize
+from .errors import ConfigError
+from .evaluation.agents import TREES, AnyPolicy, baseline_policy, find_policies, load_policies
+from .evaluation.alone import evaluate_alone
+from .evaluation.score import EvaluationResult, add_step, result_of, zero_sums
+from .runs.record import append_record, record
 
 
 class Evaluator:

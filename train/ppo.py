@@ -10,13 +10,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from agym_jax.policy.policy import Policy
-from train.configs import PPOConfig
-from train.envs import make_env, refuse_active_human
-from train.learning.algorithm import OneLearner
-from train.runs.curve import Row
-from train.runs.progress import Progress
-from train.runs.result import TrainResult
-from train.runs.session import Policies, command_line, run_session, settle
+
+from .configs import PPOConfig
+from .envs import make_env, refuse_active_human
+from .learning.algorithm import OneLearner
+from .runs.curve import Row
+from .runs.progress import Progress
+from .runs.result import TrainResult
+from .runs.session import Policies, command_line, run_session, settle
 
 OnLog = Callable[[Row, Callable[[], Policy]], bool | None]
 

@@ -3,7 +3,7 @@
 On the CPU, jaxlib 0.10 fuses the quaternion products of a whole arm into one loop in which every
 link computes its parent anew: kinematics of Jaco and a person then takes 430 ms instead of 0.7 ms
 for 8 environments, and 37 s instead of 8 s to compile (2 cores; jaxlib 0.10.2, MJX 3.17). A barrier around
-each product, which changes no value, prevents that. ``tests/test_mjx_patch.py`` fails when MJX no
+each product, which changes no value, prevents that. ``tests/compat/test_mjx_quat.py`` fails when MJX no
 longer has the function; delete both when kinematics is as fast without. ``mjx_physics`` imports MJX
 from here.
 """

@@ -5,7 +5,7 @@ deleted. Mostly that is at the end of the call. But where Warp makes a new kerne
 Warp does for a new number of environments, ``warp.func`` keeps its own frame, and so the frames of all its callers,
 until the garbage collector comes. If that is in a later call, the stream is unregistered under its hands:
 "Warp error: unknown stream". So ended, on an H200, evaluations that followed a training in the same process (Warp
-1.18). ``tests/test_warp_streams.py`` fails when Warp no longer keeps frames; delete this file then.
+1.18). ``tests/compat/test_warp_streams.py`` fails when Warp no longer keeps frames; delete this file then.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ from agym_jax.sim.validate import check_robot, check_seat, check_task, check_too
 from agym_jax.spec import Arm, Pose, RobotSpec, Surface, Task, ToolSpec, Vec3
 
 ITERATIONS, LS_ITERATIONS = 4, 8
-"""Newton iterations and line-search steps of the JAX implementation. ``tests/test_parity.py`` compares a
+"""Newton iterations and line-search steps of the JAX implementation. ``tests/sim/test_parity.py`` compares a
 pressing rollout with C MuJoCo; ``python -m benchmarks.nan`` looks for NaN."""
 MAX_CONTACTS = 8
 """Contacts that MJX-JAX keeps per environment, the deepest first (Warp keeps all)."""

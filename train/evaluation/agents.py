@@ -17,8 +17,9 @@ import jax.numpy as jnp
 
 from agym_jax.errors import UnknownNameError
 from agym_jax.policy.policy import FILE_NAMES, Policy, find_policy, load_policy, shipped_human
-from train.envs import active_name, parts, static_name
-from train.errors import PolicyEnvironmentError
+
+from ..envs import active_name, parts, static_name
+from ..errors import PolicyEnvironmentError
 
 BASELINES = ("zero", "random")
 AnyPolicy = Callable[..., jax.Array]

@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from train.envs import programs
-from train.evaluation.agents import AnyPolicy
-from train.evaluation.score import EvaluationResult, add_step, result_of, zero_sums
+from ..envs import programs
+from .agents import AnyPolicy
+from .score import EvaluationResult, add_step, result_of, zero_sums
 
 
 def evaluate_alone(

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from train.learning.rollout import Batch
+from .rollout import Batch
 
 
 def compute_gae(

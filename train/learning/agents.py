@@ -19,12 +19,13 @@ from brax.training.types import UInt64
 
 from agym_jax.policy.networks import Architecture, make_networks, mode_action, sample_action
 from agym_jax.policy.policy import Policy, load_policy
-from train.configs import CoopConfig
-from train.envs import Part, parts
-from train.learning.algorithm import policy_of, privileged_obs_size, shape_of
-from train.learning.ppo import LOSSES, LearnerState, architecture, batch_steps, init_learner, learn
-from train.learning.rollout import Batch
-from train.runs.checkpoint import tree_to_arrays
+
+from ..configs import CoopConfig
+from ..envs import Part, parts
+from ..runs.checkpoint import tree_to_arrays
+from .algorithm import policy_of, privileged_obs_size, shape_of
+from .ppo import LOSSES, LearnerState, architecture, batch_steps, init_learner, learn
+from .rollout import Batch
 
 AGENTS = ("robot", "human")
 

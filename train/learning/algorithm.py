@@ -15,9 +15,10 @@ import jax.numpy as jnp
 
 from agym_jax.policy.networks import Architecture, make_networks, sample_action
 from agym_jax.policy.policy import Policy
-from train.configs import LearnConfig
-from train.learning.ppo import LOSSES, LearnerState, architecture, init_learner, learn
-from train.learning.rollout import Batch
+
+from ..configs import LearnConfig
+from .ppo import LOSSES, LearnerState, architecture, init_learner, learn
+from .rollout import Batch
 
 STARTING = ("init_noise_std", "policy_head_gain")  # of an architecture; matter at the start only
 

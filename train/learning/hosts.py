@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jax.experimental import multihost_utils
 
-from train.errors import ConfigError
+from ..errors import ConfigError
 
 FORM = (
     "Write --hosts auto (SLURM, Open MPI, Cloud TPU), or --hosts ADDRESS:PORT,COUNT,INDEX, such as "

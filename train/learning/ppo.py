@@ -19,9 +19,10 @@ from brax.training.agents.ppo.losses import PPONetworkParams
 
 from agym_jax.jax_settings import full_precision
 from agym_jax.policy.networks import STD_MIN, Architecture, init_policy, make_networks
-from train.configs import LearnConfig
-from train.learning.advantage import compute_gae, values_of
-from train.learning.rollout import Batch, strong_types
+
+from ..configs import LearnConfig
+from .advantage import compute_gae, values_of
+from .rollout import Batch, strong_types
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
 LOSSES = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction", "noise_std")

@@ -17,12 +17,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from train.configs import LearnConfig
-from train.errors import ConfigError
-from train.evaluation.agents import AnyPolicy
-from train.evaluation.score import EvaluationResult, add_step, result_of, zero_sums
-from train.learning.algorithm import Algorithm
-from train.learning.rollout import (
+from ..configs import LearnConfig
+from ..errors import ConfigError
+from ..evaluation.agents import AnyPolicy
+from ..evaluation.score import EvaluationResult, add_step, result_of, zero_sums
+from .algorithm import Algorithm
+from .rollout import (
     RolloutState,
     critic_obs,
     init_rollout,

@@ -17,10 +17,10 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from train.configs import LearnConfig
-from train.errors import ConfigError
-from train.learning.algorithm import Algorithm
-from train.learning.rollout import RolloutState, collect, critic_obs, zero_totals
+from ..configs import LearnConfig
+from ..errors import ConfigError
+from .algorithm import Algorithm
+from .rollout import RolloutState, collect, critic_obs, zero_totals
 
 AXIS = "rollout_state"  # of the devices
 Run = Callable[..., tuple[Any, RolloutState, dict[str, jax.Array]]]

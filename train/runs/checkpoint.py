@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from train.errors import CheckpointMismatchError, CheckpointWarning, DamagedFileError
+from ..errors import CheckpointMismatchError, CheckpointWarning, DamagedFileError
 from agym_jax.data.npz import read_npz, write_npz
 
 FORMAT = 1

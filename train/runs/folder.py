@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from train.configs import LearnConfig
+from ..configs import LearnConfig
 from agym_jax.data.npz import check_writable, write_file
-from train.runs.plots import plot_curve
+from .plots import plot_curve
 from agym_jax.policy.policy import FILE_NAMES, Policy, save_policy
-from train.runs.record import record
+from .record import record
 
 
 class RunFolder:

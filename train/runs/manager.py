@@ -6,14 +6,14 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from train.runs import record
-from train.learning.algorithm import Algorithm
-from train.runs.checkpoint import load_newest, save_checkpoint
-from train.configs import LearnConfig
-from train.runs.curve import Row
+from . import record
+from ..learning.algorithm import Algorithm
+from .checkpoint import load_newest, save_checkpoint
+from ..configs import LearnConfig
+from .curve import Row
 from agym_jax.policy.policy import Policy
-from train.runs.folder import RunFolder
-from train.learning.update import to_host
+from .folder import RunFolder
+from ..learning.update import to_host
 
 Policies = Mapping[str, Policy]
 

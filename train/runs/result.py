@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from train.configs import LearnConfig
-from train.runs.curve import Row
+from ..configs import LearnConfig
+from .curve import Row
 from agym_jax.policy.policy import Policy
-from train.runs.progress import duration
+from .progress import duration
 
 
 @dataclass(frozen=True)

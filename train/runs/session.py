@@ -21,19 +21,19 @@ import numpy as np
 from jax.sharding import Mesh
 
 from agym_jax.errors import AgymError
-from train.learning.algorithm import Algorithm
-from train.configs import Config, LearnConfig, parse_arguments, resolve, updates_in
-from train.runs.curve import Row, check_row, make_row
-from train.envs import make_env, vectorize
-from train.learning.hosts import check_agreement, join_hosts, wait_for_hosts
-from train.runs.manager import CheckpointManager, Policies
+from ..learning.algorithm import Algorithm
+from ..configs import Config, LearnConfig, parse_arguments, resolve, updates_in
+from .curve import Row, check_row, make_row
+from ..envs import make_env, vectorize
+from ..learning.hosts import check_agreement, join_hosts, wait_for_hosts
+from .manager import CheckpointManager, Policies
 from agym_jax.data.npz import check_writable
-from train.runs.progress import Progress, Silent, for_terminal
-from train.runs.result import TrainResult, summary
-from train.learning.rollout import RolloutState, init_rollout
-from train.runs.folder import RunFolder
-from train.learning.stepwise import StepwiseEnv, start_stepwise
-from train.learning.update import AXIS, device_mesh, replicate, to_host, make_updates, shardings, shard
+from .progress import Progress, Silent, for_terminal
+from .result import TrainResult, summary
+from ..learning.rollout import RolloutState, init_rollout
+from .folder import RunFolder
+from ..learning.stepwise import StepwiseEnv, start_stepwise
+from ..learning.update import AXIS, device_mesh, replicate, to_host, make_updates, shardings, shard
 
 SAVE_PERIOD = 60.0  # seconds after which a checkpoint is due at the next log line
 UNIMPORTANT = ("save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts")

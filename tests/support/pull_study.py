@@ -1,6 +1,6 @@
 """Many scripted pulls over the range of people: how often a limb comes through the gown.
 
-    python tests/pull_study.py [pulls] [side by side] [edges of the gown, m ...]
+    python tests/support/pull_study.py [pulls] [side by side] [edges of the gown, m ...]
 
 With several edges it is the study of resolution: success, force and hang, coarse to fine; finer gowns get the
 substeps that they need. Every edge adds a line to ``benchmarks/results/pulls.jsonl``.

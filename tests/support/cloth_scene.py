@@ -11,7 +11,14 @@ import numpy as np
 from jax import Array
 
 from agym_jax.matter.cloth.garment import Garment
-from agym_jax.matter.cloth.sleeve import Arm, crossed, dressed, progress, watched_vertices, worn
+from agym_jax.matter.cloth.sleeve import (
+    SleeveArm,
+    crossed,
+    dressed,
+    progress,
+    watched_vertices,
+    worn,
+)
 from agym_jax.matter.cloth.solver import Cloth, Touch, in_hand, initial, slip, step
 from agym_jax.matter.cloth.topology import ClothSpec
 from agym_jax.matter.shapes import Capsules, capsules_touching, no_capsules
@@ -83,14 +90,14 @@ def draw_pull(key: Array) -> Pull:
     return Pull(size=x[0], girth=x[1], miss_w=x[2:5], speed=x[5], bend=x[6])
 
 
-def arm_of(pull: Pull) -> tuple[Arm, Capsules]:
+def arm_of(pull: Pull) -> tuple[SleeveArm, Capsules]:
     """The arm, its elbow at the origin and its forearm along -y, and its capsules: AG's man, scaled."""
     radius = 0.043 * pull.girth
     elbow = jnp.zeros(3)
     wrist = jnp.array([0.0, -0.29, 0.0]) * pull.size
     upper = jnp.stack([-jnp.sin(pull.bend), jnp.cos(pull.bend), 0.0])
     shoulder = 0.279 * pull.size * upper
-    arm = Arm(shoulder, elbow, wrist, radius)
+    arm = SleeveArm(shoulder, elbow, wrist, radius)
     hand = wrist + jnp.array([0.0, -1.0, 0.0]) * radius
     a = jnp.stack([shoulder, elbow, hand, elbow])
     b = jnp.stack([elbow, wrist, hand, elbow])
@@ -98,13 +105,13 @@ def arm_of(pull: Pull) -> tuple[Arm, Capsules]:
     return arm, Capsules(a, b, radii)
 
 
-def before_hand(arm: Arm) -> Array:
+def before_hand(arm: SleeveArm) -> Array:
     """Where a pull begins, but for its height [m] (3,)."""
     fore = (arm.elbow_w - arm.wrist_w) / jnp.linalg.norm(arm.elbow_w - arm.wrist_w)
     return arm.hand_end_w - 0.12 * fore
 
 
-def up_the_arm(arm: Arm) -> Array:
+def up_the_arm(arm: SleeveArm) -> Array:
     """Places that a good pull passes, but for its height [m] (3, 3)."""
     return jnp.stack([before_hand(arm), arm.elbow_w, 0.1 * arm.elbow_w + 0.9 * arm.shoulder_w])
 
@@ -119,7 +126,7 @@ def path_of(pull: Pull, places: Array, n: int) -> Array:
 
 
 def pull_on(
-    spec: ClothSpec, pull: Pull, n: int, through: Callable[[Arm], Array] = up_the_arm
+    spec: ClothSpec, pull: Pull, n: int, through: Callable[[SleeveArm], Array] = up_the_arm
 ) -> tuple[Outcome, Cloth, Touch, Array]:
     """Pull the gown in n physics steps: outcome, cloth and touch at the end, and all positions.
 

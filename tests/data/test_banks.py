@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import SUPPORT
 
 from agym_jax.data import banks as placement
 from agym_jax.data.assets import asset_root
@@ -147,7 +148,7 @@ def test_the_report_shows_damaged_banks_and_those_without_a_history(own: Path, c
 
 def test_ids_of_a_module_outside_work_on_every_command_line(own: Path):
     """In a program of its own, which knows nothing of the module before it reads the id."""
-    folder = Path(__file__).parent
+    folder = SUPPORT
     command = [
         sys.executable,
         "-W",

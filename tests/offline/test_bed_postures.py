@@ -16,7 +16,7 @@ from agym_jax.furniture import BED
 from agym_jax.human import body, posture
 from agym_jax.human import pose as human_pose
 from agym_jax.human.population import Human, Population, sample_human
-from agym_jax.human.pose import Pose
+from agym_jax.human.pose import BodyPose
 from agym_jax.human.posture import link_positions, load_postures, posture_path
 from agym_jax.offline import bed_postures as settle
 from agym_jax.offline import posture_report as settle_report
@@ -30,11 +30,11 @@ ROWS = 6 * EACH
 SAMPLE = 24
 
 
-def _drawn(name: str, humans: Population, count: int) -> tuple[Human, Pose]:
+def _drawn(name: str, humans: Population, count: int) -> tuple[Human, BodyPose]:
     """People of a task and how they lie, as an episode draws them; leaves in float64 (count, ...)."""
     spec = ALL_TASKS[name].human
 
-    def one(key: jax.Array) -> tuple[Human, Pose]:
+    def one(key: jax.Array) -> tuple[Human, BodyPose]:
         who, how = jax.random.split(key)
         human = sample_human(who, humans, len(spec.joints), 0.0, spec.impairments)
         return human, human_pose.sample_pose(how, spec, human)
@@ -43,7 +43,7 @@ def _drawn(name: str, humans: Population, count: int) -> tuple[Human, Pose]:
     return jax.tree.map(lambda x: np.asarray(x, float), jax.jit(jax.vmap(one))(keys))
 
 
-def _gaps_in_the_scene(name: str, human: Human, pose: Pose) -> dict[str, float]:
+def _gaps_in_the_scene(name: str, human: Human, pose: BodyPose) -> dict[str, float]:
     """Distance of every link of a person from the bed as an episode begins [m]."""
     task = ALL_TASKS[name]
     scale, moving = float(human.limit_scale), task.human.moving(False)
@@ -118,7 +118,7 @@ def test_narrow_limits_clip_nothing(name: str):
     bank, spec, checked = load_postures(name), ALL_TASKS[name].human, 0
     for i in np.flatnonzero(bank.limit_scale < 1)[::11]:
         row = bank.row(i)
-        pose = Pose(row.root_pos, row.root_quat, row.angles)
+        pose = BodyPose(row.root_pos, row.root_quat, row.angles)
         clipped = human_pose.start_angles(pose, tuple(body.JOINTS), row.limit_scale, np)
         np.testing.assert_allclose(clipped, row.angles, atol=1e-6)
         rows = human_pose.rows(spec, pose, row.dims, (), row.limit_scale, np)

@@ -1,7 +1,7 @@
 """What a newcomer writes: a robot and a task of their own, outside of agym_jax. Importing it adds both.
 
 ``test_plug_in.py`` imports it, and so does every command that is given ``toy_plug_in:WavingToybot-v0`` for an
-id. As a program it builds the banks of its own ids: ``python tests/toy_plug_in.py build WavingToybot-v0``.
+id. As a program it builds the banks of its own ids: ``python tests/support/toy_plug_in.py build WavingToybot-v0``.
 """
 
 from __future__ import annotations

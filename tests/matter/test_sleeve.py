@@ -11,7 +11,7 @@ import pytest
 
 from agym_jax.matter.cloth.garment import load
 from agym_jax.matter.cloth.sleeve import (
-    Arm,
+    SleeveArm,
     Worn,
     crossed,
     dressed,
@@ -22,7 +22,7 @@ from agym_jax.matter.cloth.sleeve import (
 )  # fmt: skip
 
 # AG's man: humans.md section 5
-MAN = Arm(*(jnp.array(x) for x in ([0.179, 0.03, 1.0315], [0.4538, 0.03, 0.9831], [0.4538, -0.26, 0.9831])),
+MAN = SleeveArm(*(jnp.array(x) for x in ([0.179, 0.03, 1.0315], [0.4538, 0.03, 0.9831], [0.4538, -0.26, 0.9831])),
           radius=jnp.float32(0.043))  # fmt: skip
 NO, YES = jnp.bool_(False), jnp.bool_(True)
 

@@ -3,16 +3,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from paths import DATA
 
 from agym_jax.human import limits as lim
 
-HELD_OUT = Path(__file__).parent / "data" / "arm_limits_heldout.npz"
+HELD_OUT = DATA / "arm_limits_heldout.npz"
 
 # Reference humans.md section 8: degrees, probability of Assistive Gym's classifier.
 RIGHT = [

@@ -12,11 +12,11 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from paths import ROOT
 
 import agym_jax
 from benchmarks import deviations, tables
 
-ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text()
 RESULT = {
     "env": "ScratchItchJaco-v0",

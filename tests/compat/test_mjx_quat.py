@@ -13,10 +13,8 @@ from conftest import BATCH
 from mujoco import mjx
 from mujoco.mjx._src import math as mjx_math
 
-from agym_jax import (
-    mjx_patch,
-    mjx_physics,  # patches MJX
-)
+from agym_jax.compat import mjx_quat
+from agym_jax.sim import mjx as mjx_physics  # patches MJX
 
 onlycpu = pytest.mark.skipif(
     jax.default_backend() != "cpu", reason="the patch acts on the CPU only"
@@ -25,15 +23,15 @@ onlycpu = pytest.mark.skipif(
 
 def test_mjx_uses_the_patched_product():
     assert mjx_physics.mjx is mjx
-    assert mjx_math.quat_mul is mjx_patch._quat_mul
-    assert mjx_patch._original is not mjx_patch._quat_mul
-    mjx_patch.apply()  # twice is fine
-    assert mjx_math.quat_mul is mjx_patch._quat_mul
+    assert mjx_math.quat_mul is mjx_quat._quat_mul
+    assert mjx_quat._original is not mjx_quat._quat_mul
+    mjx_quat.apply()  # twice is fine
+    assert mjx_math.quat_mul is mjx_quat._quat_mul
 
 
 def test_values_are_the_originals():
     u, v = np.random.default_rng(0).normal(size=(2, 32, 4)).astype(np.float32)
-    both = jax.jit(lambda u, v: (mjx_math.quat_mul(u, v), mjx_patch._original(u, v)))
+    both = jax.jit(lambda u, v: (mjx_math.quat_mul(u, v), mjx_quat._original(u, v)))
     mine, theirs = jax.vmap(both)(u, v)
     np.testing.assert_array_equal(mine, theirs)
 
@@ -44,7 +42,7 @@ def test_the_barrier_is_in_what_is_compiled():
     assert "optimization_barrier" in text
     assert (
         "optimization_barrier"
-        not in jax.jit(mjx_patch._original).lower(jnp.ones(4), jnp.ones(4)).as_text()
+        not in jax.jit(mjx_quat._original).lower(jnp.ones(4), jnp.ones(4)).as_text()
     )
 
 

@@ -14,15 +14,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from paths import ROOT, SUPPORT
 
 from train.learning.rollout import init_rollout
 from train.learning.update import make_updates
 from train.runs.checkpoint import checkpoint_files, load_newest, save_checkpoint
 from train.runs.progress import Lines
 
-ROOT = Path(__file__).resolve().parent.parent
-PREAMBLE = f"import sys; sys.path[:0] = {[str(ROOT), str(ROOT / 'tests')]!r}\n"
+PREAMBLE = f"import sys; sys.path[:0] = {[str(ROOT), str(SUPPORT)]!r}\n"
 KILLED = """
+from paths import ROOT, SUPPORT
 import time
 from {module} import {env}
 from train.configs import {config}

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 from fake_env import FakeEnv
+from paths import ROOT
 
 from agym_jax.adapters import gymnasium as adapter
 from agym_jax.errors import AgymError, MeshError, MissingExtraError, UnknownNameError
@@ -221,7 +222,7 @@ def test_missing_package_names_itself_and_the_command(name: str, monkeypatch: py
 
 
 def test_the_extra_lists_the_packages():
-    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extra = {line.split(">")[0] for line in project["optional-dependencies"]["meshes"]}
     assert {source.package for robot in ROBOTS.values() for source in robot.meshes} == extra
 

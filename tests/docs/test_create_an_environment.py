@@ -11,12 +11,12 @@ import textwrap
 from pathlib import Path
 
 import pytest
+from paths import ROOT
 
 import agym_jax
 from agym_jax.data import banks as placement
 from agym_jax.spec import RobotSpec
 
-ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "create_an_environment.md"
 TEXT = PAGE.read_text()
 TASK = (ROOT / "agym_jax" / "tasks" / "reaching.py").read_text()

@@ -22,7 +22,7 @@ from train.errors import ActiveHumanError, CheckpointMismatchError, ConfigError
 from train.evaluate import Evaluator
 from train.evaluation.agents import Pair, baseline_policy
 from train.learning.agents import TwoLearners
-from train.learning.rollout import collect, everything, init_rollout
+from train.learning.rollout import collect, critic_obs, init_rollout
 from train.runs.checkpoint import checkpoint_files
 from train.runs.result import summary
 
@@ -65,7 +65,7 @@ def updated(config, env=None):
             reward_scaling=1.0,
         )
     )(batch, jax.random.PRNGKey(2))
-    return algorithm, learner, batch, everything(batch.env_state)
+    return algorithm, learner, batch, critic_obs(batch.env_state)
 
 
 def with_other_weights(learner, agent):

@@ -5,7 +5,7 @@ Inverse kinematics follow that path with the hand turned in several ways, since 
 to the gown; a way on which the robot stays clear of the person is taken, and the joints are steered along
 it with the environment's own actions.
 
-    python tests/dress_script.py DressingJaco-v0 [episodes] [first seed]
+    python tests/support/dress_script.py DressingJaco-v0 [episodes] [first seed]
 """
 
 from __future__ import annotations

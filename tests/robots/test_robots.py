@@ -1,7 +1,7 @@
 # ruff: noqa: D103
 """The robots' files and specs agree with the URDFs and with Assistive Gym's tasks.
 
-``tests/data/*_table.json`` are compact tables of the URDFs; everything else is quoted from reference
+``tests/support/data/*_table.json`` are compact tables of the URDFs; everything else is quoted from reference
 robots.md and tasks.md.
 """
 
@@ -10,11 +10,11 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from paths import DATA, ROOT
 from scipy.spatial.transform import Rotation
 
 from agym_jax.errors import SpecError
@@ -22,7 +22,6 @@ from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
 from agym_jax.tasks import TASKS
 
-ROOT = Path(__file__).resolve().parents[1]
 HANDS = [(name, side) for name in ("PR2", "Baxter") for side in ("left", "right")]
 HANDS += [("Jaco", "left"), ("Sawyer", "left")]
 X, Y, Z = np.eye(3)
@@ -133,7 +132,7 @@ START = {
 
 @cache
 def table(name: str) -> dict:
-    return json.loads((ROOT / "tests" / "data" / f"{name.lower()}_table.json").read_text())
+    return json.loads((DATA / f"{name.lower()}_table.json").read_text())
 
 
 @cache

@@ -374,7 +374,7 @@ def test_in_one_kernel_it_is_the_same(spec: ParticleSpec, monkeypatch: Any) -> N
     for_gpu = plain.trace(*world).lower(lowering_platforms=("cuda",)).as_text()
     assert for_gpu.count("__gpu$xla.gpu.triton") == 1
     assert "triton" not in plain.lower(*world).as_text()
-    monkeypatch.setattr(matter, "walk", partial(kernel, interpret=True))
+    monkeypatch.setattr(matter, "fused_scan", partial(kernel, interpret=True))
     whole = jax.jit(jax.vmap(lambda p, m: advance(spec, p, m, 0.01)))
     after, contact = whole(*world)
     np.testing.assert_allclose(after.pos_w, expected.pos_w, atol=2e-6)
@@ -391,11 +391,11 @@ def test_a_number_of_particles_that_no_kernel_can_have_is_left_to_xla(run: Any) 
     assert "triton" not in for_gpu
 
 
-def test_a_kernel_says_when_its_desk_is_full() -> None:
+def test_kernel_refuses_more_vectors_than_scratch_rows() -> None:
     def body(x: jax.Array, *unused: Any) -> jax.Array:
         return unused[-1](lambda rows: rows[0][:, None] * x, [x] * 17)
 
-    with pytest.raises(ValueError, match="room for 16 vectors, got 17"):
+    with pytest.raises(ValueError, match="has 16 rows, got 17 vectors"):
         kernel(body, jnp.ones(64), jnp.zeros(3), jnp.float32(0.0), interpret=True)
 
 

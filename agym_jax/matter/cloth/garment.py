@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from agym_jax.data.assets import asset_path
+from agym_jax.data.npz import Shape, read_arrays, write_arrays
 from agym_jax.errors import AgymError, did_you_mean
 
 AG_AREA_DENSITY = 0.23 / 1.099
@@ -114,18 +115,19 @@ def load(name: str = GOWN) -> Garment:
 def save(garment: Garment, path: Path) -> None:
     """Write a checked garment as .npz."""
     check(garment)
-    fields = {k: v for k, v in vars(garment).items() if k != "name" and v is not None}
-    np.savez_compressed(path, **fields)
+    write_arrays(path, {k: v for k, v in vars(garment).items() if k != "name" and v is not None})
 
 
 def _read_npz(path: Path) -> Garment:
-    names = {"vertices", "triangles", "cuff", "anchors", "area_density"}
-    with np.load(path) as stored:
-        missing = sorted(names - set(stored.files))
-        if missing:
-            raise GarmentError(f"{path.name} has no {', '.join(missing)}; it has {stored.files}.")
-        arrays = {name: stored[name] for name in (*names, *({"hanging"} & set(stored.files)))}
-    return Garment(name=path.name, **(arrays | {"area_density": float(arrays["area_density"])}))
+    needed: dict[str, Shape] = {
+        "vertices": ("vertices", 3), "triangles": ("triangles", 3), "cuff": ("vertices of the cuff",),
+        "anchors": ("vertices held",), "area_density": (),
+    }  # fmt: skip
+    remedy = "agym_jax.matter.cloth.garment says what a garment needs."
+    arrays = read_arrays(path, "garment", needed, GarmentError, remedy)
+    density = float(arrays.pop("area_density"))
+    known = {name: arrays[name] for name in (*needed, "hanging") if name in arrays}
+    return Garment(name=path.name, area_density=density, **known)
 
 
 def _read_description(path: Path) -> Garment:

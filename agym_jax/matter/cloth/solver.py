@@ -32,7 +32,7 @@ import numpy as np
 from jax import Array
 from jax.lax import rsqrt
 
-from agym_jax.matter.cloth.kernel import InArrays, Rows, Show, State, advance
+from agym_jax.matter.cloth.kernel import InArrays, Publish, Rows, State, advance
 from agym_jax.matter.cloth.topology import ClothSpec, Sweep, Tables, tables
 from agym_jax.matter.shapes import TINY, Capsules, Xyz, add, columns, dot, each, length, scale, sub
 
@@ -221,14 +221,14 @@ def _way(
 
 
 def _substep(
-    spec: ClothSpec, h: float, solids: int, floor: float | None, tables: Tables, moment: _Way, show: Show, state: State,
+    spec: ClothSpec, h: float, solids: int, floor: float | None, tables: Tables, moment: _Way, publish: Publish, state: State,
 ) -> State:  # fmt: skip
     """The state after h [s], among a number of solids."""
     pos, vel, pushed, touched = state
     free, tether = tables.free[0], tables.tether[0]
     anchor = _look(moment.anchors, tether)
     fallen = each(partial(jnp.where, free > 0), _fall(spec, pos, vel, h), anchor)
-    moved = _relax(spec, tables, show, fallen, anchor)
+    moved = _relax(spec, tables, publish, fallen, anchor)
     push, heal, which = _push_out(spec, free, moved, pos, moment, solids, floor)
     after = add(moved, push)
     vel = scale((1.0 - spec.fabric.damping * h) / h, sub(after, pos))
@@ -246,9 +246,9 @@ def _fall(spec: ClothSpec, pos: Xyz, vel: Xyz, h: float) -> Xyz:
     return add(pos, scale(h * jnp.minimum(1.0, spec.fabric.max_speed / length(vel)), vel))
 
 
-def _relax(spec: ClothSpec, tables: Tables, show: Show, pos: Xyz, anchor: Xyz) -> Xyz:
+def _relax(spec: ClothSpec, tables: Tables, publish: Publish, pos: Xyz, anchor: Xyz) -> Xyz:
     """One sweep over hinges, tethers and edges. Each vertex has its ``anchor``."""
-    seen, before = show(pos), pos
+    seen, before = publish(pos), pos
     for row in range(len(spec.hinges.partner)):
         pos = add(pos, _pull(tables.hinges, row, before, seen))
     off = sub(pos, anchor)
@@ -256,7 +256,7 @@ def _relax(spec: ClothSpec, tables: Tables, show: Show, pos: Xyz, anchor: Xyz) -
     excess = tables.free[0] * jnp.maximum(1.0 - tables.reach[0] * inverse_length, 0.0)
     pos = sub(pos, scale(excess, off))
     for row in range(len(spec.edges.partner)):
-        pos = add(pos, _pull(tables.edges, row, pos, show(pos)))
+        pos = add(pos, _pull(tables.edges, row, pos, publish(pos)))
     return pos
 
 

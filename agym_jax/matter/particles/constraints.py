@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.lax import rsqrt
 
-from agym_jax.matter.fused_scan import SumOver, at_once
+from agym_jax.matter.fused_scan import SumOver, sum_rows
 from agym_jax.matter.particles.containers import Vessel
 from agym_jax.matter.shapes import TINY, Touching, Xyz, add, dot, each, scale, sub
 
@@ -75,7 +75,7 @@ def push_pairs(
     contacts: Array,
     crowd: float,
     h: float,
-    sum_over: SumOver = at_once,
+    sum_over: SumOver = sum_rows,
 ) -> tuple[Xyz, Array]:
     """One Jacobi sweep over all pairs; both of a pair are pushed alike, so momentum stays.
 

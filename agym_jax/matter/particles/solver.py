@@ -27,7 +27,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from agym_jax.matter.fused_scan import SumOver, fused_scan, widen
+from agym_jax.matter.fused_scan import SumOver, fused_scan, pad_to_power_of_two
 from agym_jax.matter.particles.constraints import (
     CALM,
     EAGER,
@@ -209,7 +209,7 @@ def advance(
     vel = tuple(jnp.where(alive, x, 0.0) for x in columns(particles.vel_w))
 
     moments = _interpolate(motion, spec.substeps)
-    radius, furniture = jax.tree.map(_widen, (motion.human.radius, motion.furniture.columns()))
+    radius, furniture = jax.tree.map(_pad, (motion.human.radius, motion.furniture.columns()))
     still = _Still(radius, furniture, motion.floor)
     local, alone = jax.tree.map(lambda x: x[0], moments).local(pos), jnp.zeros(spec.count)
     _, contacts = push_pairs(spec.radius, spec.friction, local, local, alone, CALM, h)
@@ -296,8 +296,8 @@ def _interpolate(motion: Obstacles, substeps: int) -> _Moving:
     return _Moving(
         pos_w=each(fill, columns(motion.vessel_pos_w)),
         rot_w=rotation_rows(*quat_columns(fill(quat))),
-        ends_w=jax.tree.map(lambda x: fill(_widen(x)), motion.human.ends()),
+        ends_w=jax.tree.map(lambda x: fill(_pad(x)), motion.human.ends()),
     )
 
 
-_widen = partial(widen, value=NOWHERE)
+_pad = partial(pad_to_power_of_two, value=NOWHERE)

@@ -1,0 +1,72 @@
+"""Spoon and cup as they are filled when an episode begins: a look-up in a bank of particles at rest.
+
+DEVIATION(settled-bank): an episode begins with particles at rest, in an arrangement of the nearest tilt; AG
+begins with whatever motion its settling has left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from agym_jax.data.assets import asset_root
+from agym_jax.data.npz import read_arrays
+from agym_jax.errors import MissingFillError, UnknownNameError
+from agym_jax.matter.particles.solver import FOOD, WATER, Particles
+from agym_jax.matter.shapes import rotation
+
+DOWN = (0.0, 0.0, -1.0)
+CONTENTS = {"spoon": FOOD, "cup": WATER}
+"""What each vessel holds."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class FillBank:
+    """A bank of K arrangements of n particles, in the vessel's frame."""
+
+    gravity_dir: Array | np.ndarray  # unit vectors in which gravity points (K, 3)
+    pos: Array | np.ndarray  # centres [m]                                  (K, n, 3)
+
+
+def fill_path(name: str) -> Path:
+    """Where a vessel's bank is kept."""
+    return asset_root() / "matter" / f"{name}.npz"
+
+
+@cache
+def load_fill(name: str) -> FillBank:
+    """The bank of ``"spoon"`` or ``"cup"``, as NumPy arrays.
+
+    Raises:
+        UnknownNameError: there is no such vessel.
+        MissingFillError: its bank is missing or damaged; the message has the command that makes it.
+    """
+    if name not in CONTENTS:
+        raise UnknownNameError("vessel", name, CONTENTS)
+    arrays = read_arrays(
+        fill_path(name), "bank of settled particles",
+        {"gravity_dir": ("rows", 3), "pos": ("rows", CONTENTS[name].count, 3)},
+        MissingFillError, f"Build it with: agym-jax particles {name}",
+    )  # fmt: skip
+    return FillBank(**{f.name: np.asarray(arrays[f.name], np.float32) for f in fields(FillBank)})
+
+
+def fill(bank: FillBank, vessel_pos_w: Array, vessel_quat_w: Array) -> Particles:
+    """Particles at rest in a vessel, as they lie at the nearest tilt of the bank.
+
+    Args:
+        bank: of the vessel.
+        vessel_pos_w: of the vessel's frame [m] (3,).
+        vessel_quat_w: wxyz (4,).
+    """
+    rot_w = rotation(vessel_quat_w)
+    nearest = jnp.argmax(jnp.asarray(bank.gravity_dir) @ (jnp.array(DOWN) @ rot_w))
+    pos_w = vessel_pos_w + jnp.asarray(bank.pos)[nearest] @ rot_w.T
+    return Particles(pos_w, jnp.zeros_like(pos_w), jnp.ones(len(pos_w), bool))

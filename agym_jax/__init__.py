@@ -4,23 +4,24 @@
 >>> env = agym_jax.make("ScratchItchJaco-v0")
 >>> state = env.reset(jax.random.key(0))
 >>> state = env.step(state, jnp.zeros(env.action_size))
+
+Importing the package imports neither JAX nor a task: each is loaded when it is first needed.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agym_jax import compilation_cache as _cache
 from agym_jax.errors import AgymError
 
 if TYPE_CHECKING:
     from agym_jax.env import AssistiveEnv as Env
+    from agym_jax.policy import Pair, Policy
     from agym_jax.state import State
 
 __version__ = "0.1.0"
-__all__ = ["AgymError", "Env", "State", "list_envs", "make", "register_envs"]
-
-_cache.enable()
+__all__ = ["AgymError", "Env", "State", "list_envs", "load_policy", "make", "register_envs"]
 
 
 def make(name: str, impl: str = "auto", humans: Any = None, num_envs: int = 1) -> Env:
@@ -39,10 +40,31 @@ def make(name: str, impl: str = "auto", humans: Any = None, num_envs: int = 1) -
         ImplementationError: Warp was asked for and is not installed.
     """
     from agym_jax.env import AssistiveEnv
+    from agym_jax.jax_settings import enable_compilation_cache
     from agym_jax.registry import parse
 
+    enable_compilation_cache()
     recipe = parse(name)
     return AssistiveEnv(recipe.task, recipe.robot, recipe.active, impl, humans, num_envs)
+
+
+def load_policy(source: str | Path, env: Env | None = None) -> Policy | Pair:
+    """Load a policy: a function ``policy(obs) -> action``, for one observation or a batch.
+
+    Args:
+        source: an environment id, whose shipped policy is meant: the robot's, or for ``...Human-v0``
+            the pair of robot and person; or the path of a policy file or of a training run's folder.
+        env: environment that it must fit; None skips that check.
+
+    Raises:
+        PolicyNotFoundError: there is none; the message has the nearest, and how to train one.
+        PolicyDamagedError: the file is not whole, or no policy.
+        PolicyEnvironmentError: it was trained for another task, robot or agent than ``env``'s.
+        PolicyLayoutError: it reads another observation than ``env``'s.
+    """
+    from agym_jax.policy import load_policy as load
+
+    return load(source, env)
 
 
 def list_envs() -> list[str]:
@@ -67,7 +89,8 @@ def __getattr__(name: str) -> Any:
 def register_envs() -> None:
     """Make every id known to gymnasium, which builds ``agym_jax.adapters.gymnasium.GymnasiumEnv``.
 
-    Done on import; do it again after ``agym_jax.registry`` was given a task or a robot.
+    Done on import, by name only: Gymnasium 1.0 dropped the entry point of plug-ins, and finds ids of
+    packages that have been imported. Do it again after ``agym_jax.registry`` was given a task or robot.
     """
     import gymnasium
 

@@ -62,8 +62,20 @@ class BufferOverflowError(AgymError, RuntimeError):
     """Warp's contact or constraint buffers were too small, so contacts were lost."""
 
 
+class WrapperError(AgymError, AttributeError):
+    """A wrapper of Brax around what it cannot wrap, or one that asks for what there is not."""
+
+
 class SpecError(AgymError, ValueError):
     """A robot, tool, seat or task whose description does not fit together."""
+
+
+class DamagedFileError(AgymError, ValueError):
+    """A file whose content does not match its checksum, or that is not one of this project."""
+
+
+class SaveFolderError(AgymError, OSError):
+    """A folder that results cannot be written to."""
 
 
 class MissingPlacementError(AgymError, FileNotFoundError):
@@ -72,3 +84,23 @@ class MissingPlacementError(AgymError, FileNotFoundError):
 
 class MissingPostureError(AgymError, FileNotFoundError):
     """A task on the bed without its bank of people who lie there, or with a damaged one."""
+
+
+class MissingFillError(AgymError, FileNotFoundError):
+    """A vessel without its bank of settled particles, or with a damaged one."""
+
+
+class PolicyNotFoundError(AgymError, FileNotFoundError):
+    """No policy file where one was asked for."""
+
+
+class PolicyDamagedError(DamagedFileError):
+    """A policy file that cannot be read."""
+
+
+class PolicyEnvironmentError(AgymError, ValueError):
+    """A policy that was trained in another environment."""
+
+
+class PolicyLayoutError(AgymError, ValueError):
+    """A policy that reads another observation layout or has other sizes."""

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import sys
 from dataclasses import dataclass, fields
 from typing import Any, dataclass_transform
 
@@ -154,9 +153,17 @@ def flatten(obs: Any) -> jax.Array:
     return jnp.concatenate(flat)
 
 
-def layout_version(*records: type) -> str:
-    """Short hash of names and sizes: policies of another layout do not fit."""
-    text = repr([[(n, c.size, c.unit, c.frame) for n, c in columns(r).items()] for r in records])
+def layout_version(*records: type, former: bool = False) -> str:
+    """Short hash of names and sizes: policies of another layout do not fit.
+
+    Args:
+        *records: the observation's, in order.
+        former: as it was when columns said "person" that now say "human"; policies from then still fit.
+    """
+    rename = (lambda name: name.replace("human", "person")) if former else str
+    text = repr(
+        [[(rename(n), c.size, c.unit, c.frame) for n, c in columns(r).items()] for r in records]
+    )
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
@@ -168,26 +175,3 @@ def table(record: type) -> str:
         span = f"{where.start}" if c.size == 1 else f"{where.start}-{where.stop - 1}"
         lines.append(f"| {span} | `{name}` | {c.unit} | {c.frame} | {c.source} |")
     return "\n".join(lines)
-
-
-def main(argv: list[str]) -> int:
-    """``python -m agym_jax.observe ID``: print an environment's observation tables."""
-    from agym_jax.errors import AgymError
-    from agym_jax.registry import parse
-
-    if len(argv) != 1:
-        print(
-            "usage: python -m agym_jax.observe ENV-ID, such as ScratchItchJaco-v0", file=sys.stderr
-        )
-        return 2
-    try:
-        recipe = parse(argv[0])
-    except AgymError as error:
-        print(error, file=sys.stderr)
-        return 1
-    records = {"Robot": recipe.task.robot_obs}
-    if recipe.active:
-        records["Human"] = recipe.task.human_obs
-    for title, record in records.items():
-        print(f"{title}: {size(record)} columns\n\n{table(record)}\n")
-    return 0

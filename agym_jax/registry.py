@@ -11,11 +11,14 @@ import importlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from agym_jax.errors import SpecError, UnknownNameError
 from agym_jax.robots import ROBOTS
-from agym_jax.spec import RobotSpec, Task
 from agym_jax.tasks import TASKS
+
+if TYPE_CHECKING:
+    from agym_jax.spec import RobotSpec, Task
 
 VERSION = "v0"
 
@@ -74,13 +77,23 @@ def parse(name: str) -> Recipe:
     """
     module, _, plain = name.removeprefix("agym_jax/").rpartition(":")
     _import(module, name)
-    for task in TASKS.values():
-        for robot in ROBOTS.values():
+    for task in TASKS:
+        for robot in ROBOTS:
             for active in (False, True):
-                known = f"{task.name}{robot.name}{'Human' if active else ''}-{VERSION}"
-                if plain == known:
-                    return Recipe(known, task, robot, active)
+                if plain == f"{task}{robot}{'Human' if active else ''}-{VERSION}":
+                    return Recipe(plain, TASKS[task], ROBOTS[robot], active)
     raise UnknownNameError("environment", name, list_envs(), _advice(plain, module))
+
+
+def static_id(name: str) -> str:
+    """The id of the same task and robot with a person who holds still."""
+    return name.replace("Human-", "-")
+
+
+def active_id(name: str) -> str:
+    """The id of the same task and robot with a person who acts."""
+    stem, _, version = static_id(name).rpartition("-")
+    return f"{stem}Human-{version}"
 
 
 def _import(module: str, name: str) -> None:

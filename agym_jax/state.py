@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from agym_jax.data.banks import Placement
+from agym_jax.errors import WrapperError
 from agym_jax.human.body import BodyFields
 from agym_jax.human.population import Human
 from agym_jax.human.pose import BodyPose
 
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Placement:
-    """Where the robot starts: one row of a placement bank."""
-
-    base_pos: jax.Array  # world [m]                                         (3,)
-    base_quat: jax.Array  # wxyz                                             (4,)
-    arm_angles: jax.Array  # of the arms in use [rad]                        (n_arm,)
+_INSTEAD = "use wrap_env_fn=agym_jax.adapters.brax.wrap_for_brax_training"
+SAME_HUMAN = (
+    "Brax's AutoResetWrapper begins every episode of an environment with the same human, goal and start. For "
+    f"others in each, {_INSTEAD}."
+)
+WARP_RESET = (
+    "With impl='warp' there is no pipeline_state: environments share buffers, which Brax's AutoResetWrapper would mix "
+    f"up. For training, {_INSTEAD}; for MuJoCo's fields, read state.data."
+)
 
 
 @jax.tree_util.register_dataclass
@@ -40,6 +43,24 @@ class Episode:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class PipelineState:
+    """All that an episode goes on from: what Brax's ``AutoResetWrapper`` keeps of the first state, and restores.
+
+    Attributes of ``data``, such as ``qpos``, are also its own.
+    """
+
+    data: Any  # mjx.Data
+    task: Any  # the task's own pytree
+    episode: Episode
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "data":
+            raise AttributeError(name)
+        return getattr(self.data, name)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class State:
     """One environment. Satisfies Brax's ``State`` in use: obs, reward, done, metrics, info, ``replace``."""
 
@@ -54,13 +75,26 @@ class State:
     key: jax.Array
 
     def replace(self, **changes: Any) -> State:
-        """A copy with some fields changed."""
+        """A copy with some fields changed; ``pipeline_state`` stands for data, task and episode."""
+        whole = changes.pop("pipeline_state", None)
+        if isinstance(whole, PipelineState):
+            if "first_pipeline_state" in self.info:
+                warnings.warn(SAME_HUMAN, stacklevel=2)
+            changes = {"data": whole.data, "task": whole.task, "episode": whole.episode} | changes
+        elif whole is not None:
+            changes["data"] = whole
         return dataclasses.replace(self, **changes)
 
     @property
-    def pipeline_state(self) -> Any:
-        """Brax's name for ``data``."""
-        return self.data
+    def pipeline_state(self) -> PipelineState:
+        """Brax's name for all of the simulation.
+
+        Raises:
+            WrapperError: the physics is Warp, whose data must not be selected leaf by leaf.
+        """
+        if getattr(getattr(self.data, "impl", None), "value", None) == "warp":
+            raise WrapperError(WARP_RESET)
+        return PipelineState(self.data, self.task, self.episode)
 
 
 def strong(tree: Any) -> Any:

@@ -16,11 +16,12 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from agym_jax.errors import did_you_mean
+from agym_jax.policy.files import find_policies, load_policies
+from agym_jax.registry import active_id
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
 from train.enjoy import EnjoyConfig, Frame, Player, film
-from train.envs import active_name, make_env
-from train.evaluation.agents import find_policies, load_policies
+from train.envs import make_env
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 CLIPS = DOCS / "images" / "clips"
@@ -59,7 +60,7 @@ def films(task: str) -> list[str]:
     """The environments of a task of which there is a film."""
     still = [f"{task}{robot}-v0" for robot in ROBOTS]
     return [
-        name for name in (*still, *map(active_name, still)) if (CLIPS / f"{name}.webp").exists()
+        name for name in (*still, *map(active_id, still)) if (CLIPS / f"{name}.webp").exists()
     ]
 
 

@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from agym_jax.registry import active_id, static_id
 from benchmarks.markdown import RESULTS
-from train.envs import active_name, static_name
 
 OUTPUT = RESULTS.parent.parent / "docs" / "images" / "learning_curves.png"
 COLUMNS = 4
@@ -41,7 +41,7 @@ def draw(curves: dict[str, dict[str, Any]], output: Path) -> None:
     for panel, task in zip(panels.flat, tasks, strict=False):
         for number, robot in enumerate(robots):
             name = f"{task}{robot}-v0"
-            for env_name, look in ((name, "-"), (active_name(name), "--")):
+            for env_name, look in ((name, "-"), (active_id(name), "--")):
                 if line := curves.get(env_name):
                     steps = [x / 1e6 for x in line["env_steps"]]
                     shares = [100 * x for x in line["success"]]
@@ -58,7 +58,7 @@ def draw(curves: dict[str, dict[str, Any]], output: Path) -> None:
 
 
 def _task(name: str, robots: tuple[str, ...]) -> str:
-    who = static_name(name).removesuffix("-v0")
+    who = static_id(name).removesuffix("-v0")
     return next(who.removesuffix(robot) for robot in robots if who.endswith(robot))
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import tyro
 
-from agym_jax.policy.policy import train_command
+from agym_jax.policy.check import train_command
 from benchmarks.child import ChildError
 from benchmarks.keep import keep
 from train.configs import Count
@@ -52,7 +52,7 @@ def start(config: ResumeConfig, seed: int, folder: Path) -> subprocess.Popen:
     """Start training in another process; what it says goes to a file in ``folder``."""
     flags = {"impl": config.impl, "num-env-steps": config.num_env_steps, "seed": seed, "save-dir": folder}  # fmt: skip
     words = [word for name, value in flags.items() for word in (f"--{name}", str(value))]
-    command = [sys.executable, *train_command(config.env_name).split()[1:], *words]
+    command = [sys.executable, "-m", "agym_jax", *train_command(config.env_name).split()[1:], *words]
     folder.mkdir(exist_ok=True)
     with (folder / "said.txt").open("a") as said:
         return subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 
+from agym_jax.registry import static_id
 from benchmarks.markdown import (
     NOTHING,
     RESULTS,
@@ -23,7 +24,6 @@ from benchmarks.markdown import (
     several,
     table,
 )
-from train.envs import static_name
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (ROOT / "README.md", ROOT / "docs" / "benchmarks.md")
@@ -138,7 +138,7 @@ def together(folder: Path = RESULTS) -> str:
         "return": lambda x: f"{x['return_mean']:.0f} ± {x['return_std']:.0f}",
         "mean force on the person": lambda x: f"{x['force_mean']:.1f} N",
         "this robot, person still": lambda x: other(still, x["env"]),
-        "trained with a still person": lambda x: other(trained_so, static_name(x["env"])),
+        "trained with a still person": lambda x: other(trained_so, static_id(x["env"])),
     }
     both = [x for x in lines if x["human_policy"] is not None]
     note = "Success and return, mode of the policies;"

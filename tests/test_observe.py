@@ -144,21 +144,3 @@ def test_a_record_that_does_not_fit_together_is_refused():
 
 def test_static_and_active_layouts_differ(static_env, active_env):
     assert static_env.layout_version != active_env.layout_version
-
-
-def test_command_line_prints_every_column(capsys: pytest.CaptureFixture):
-    assert observe.main(["ScratchItchJacoHuman-v0"]) == 0
-    out = capsys.readouterr().out
-    for name in (*ROBOT, *PERSON):
-        assert f"`{name}`" in out
-    assert "| 29 | `tool_force` | N |" in out and "| 32 | `force_on_person` |" in out
-    assert "Robot: 30 columns" in out and "Person: 34 columns" in out
-    assert observe.main(["ScratchItchJaco-v0"]) == 0
-    assert "Human" not in capsys.readouterr().out
-
-
-def test_command_line_refuses_nonsense(capsys: pytest.CaptureFixture):
-    assert observe.main([]) == 2
-    assert "usage" in capsys.readouterr().err
-    assert observe.main(["ScratchIchJaco-v0"]) == 1
-    assert "Did you mean 'ScratchItchJaco-v0'" in capsys.readouterr().err

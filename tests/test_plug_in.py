@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import agym_jax
-from agym_jax.data import banks as placement
+from agym_jax.data.banks import Placement, bank_path, load_bank
 from agym_jax.env import AssistiveEnv
 from agym_jax.errors import (
     MissingAssetError,
@@ -27,11 +27,10 @@ from agym_jax.errors import (
     SpecError,
     UnknownNameError,
 )
-from agym_jax.offline import kinematics
+from agym_jax.offline import kinematics, placements
 from agym_jax.registry import parse, register_robot, register_task
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import build_scene, compose
-from agym_jax.state import Placement
 from agym_jax.tasks import TASKS
 
 OUR_TASKS, OUR_ROBOTS = tuple(TASKS), tuple(ROBOTS)
@@ -57,8 +56,8 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
 @pytest.fixture(scope="module")
 def bank(toy: ModuleType) -> Path:
     """A small bank, built as a user builds it."""
-    assert placement.main(["build", f"toy_plug_in:{NAME}", "--size", str(SIZE)]) == 0
-    return placement.bank_path(toy.WAVING, toy.TOYBOT)
+    assert placements.main(["build", f"toy_plug_in:{NAME}", "--size", str(SIZE)]) == 0
+    return bank_path(toy.WAVING, toy.TOYBOT)
 
 
 def _with_file(toy: ModuleType, folder: Path, old: str, new: str):
@@ -106,8 +105,8 @@ def test_a_name_that_is_taken_is_refused(toy: ModuleType):
 @pytest.mark.parametrize(
     ("name", "command"),
     [
-        ("WavingJacoHuman-v0", r"agym_jax\.placement build toy_plug_in:WavingJaco-v0$"),
-        ("ReachingToybot-v0", r"agym_jax\.placement build ReachingToybot-v0 \(with my_module:"),
+        ("WavingJacoHuman-v0", r"agym-jax placements build toy_plug_in:WavingJaco-v0$"),
+        ("ReachingToybot-v0", r"agym-jax placements build ReachingToybot-v0 \(with my_module:"),
     ],
 )
 def test_an_id_without_a_bank_says_how_to_build_it(toy: ModuleType, name: str, command: str):
@@ -121,7 +120,7 @@ def test_an_id_may_name_its_module(toy: ModuleType):
 
 
 def test_the_builder_says_which_id_it_does_not_know(toy: ModuleType, capsys):
-    assert placement.main(["build", "WavingToybo-v0"]) == 1
+    assert placements.main(["build", "WavingToybo-v0"]) == 1
     said = capsys.readouterr().err
     assert "Did you mean 'WavingToybot-v0'?" in said and "the robot 'Toybo' does not" in said
     with pytest.raises(UnknownNameError, match="Did you mean 'WavingToybot-v0'"):
@@ -196,13 +195,13 @@ def test_a_file_or_an_arm_that_is_not_there_is_named(toy: ModuleType):
 
 def test_the_bank_lies_outside_of_the_package_and_is_reported(bank: Path, capsys):
     assert bank.is_file() and not bank.is_relative_to(Path(agym_jax.__file__).parent.parent)
-    assert placement.main(["report"]) == 0
+    assert placements.main(["report"]) == 0
     row = next(x for x in capsys.readouterr().out.splitlines() if "WavingToybot" in x)
     assert re.search(r"head \d+ %", row) and row.endswith(f"| {SIZE} |")
 
 
 def test_the_bank_puts_the_hand_where_the_task_starts(toy: ModuleType, bank: Path):
-    rows = placement.load_bank(toy.WAVING, toy.TOYBOT)
+    rows = load_bank(toy.WAVING, toy.TOYBOT)
     assert np.shape(rows.arm_angles) == (SIZE, 7) and np.shape(rows.base_pos) == (SIZE, 3)
     scene = build_scene(toy.WAVING, toy.TOYBOT)
     data, index = mujoco.MjData(scene.model), scene.index
@@ -239,7 +238,7 @@ def test_an_observation_of_another_size_is_named(toy: ModuleType):
     robot = dataclasses.replace(toy.TOYBOT, name="Sixbot", arms={"right": arm})
     task = TASKS["Reaching"]
     row = Placement(np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.zeros((1, 6)))
-    placement.save_bank(row, placement.bank_path(task, robot), {})
+    placements.save_bank(row, bank_path(task, robot), {})
     env = AssistiveEnv(task, robot, impl="jax")
     assert env.action_size == 6
     with pytest.raises(SpecError, match=r"arm_angles is declared with 7 entries but has 6"):

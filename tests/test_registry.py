@@ -109,7 +109,7 @@ def test_task_from_outside_gets_ids_and_says_what_it_lacks():
         assert "ToyItchJaco-v0" in list_envs() and "ToyItchJacoHuman-v0" in list_envs()
         assert parse("ToyItchJaco-v0").task is toy
         with pytest.raises(
-            MissingPlacementError, match=r"agym_jax\.placement build ToyItchJaco-v0"
+            MissingPlacementError, match=r"agym-jax placements build ToyItchJaco-v0"
         ):
             agym_jax.make("ToyItchJaco-v0")
         with pytest.raises(SpecError, match="'ToyItch' already"):

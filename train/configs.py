@@ -66,7 +66,7 @@ class LearnConfig:
     (SLURM, Open MPI, Cloud TPU), or ADDRESS:PORT,COUNT,INDEX with the address of machine 0, how many
     they are, and which one this is. They need a common --save-dir."""
 
-    num_envs: Annotated[Count, tyro.conf.arg(aliases=["--num-envs"])] = 0
+    num_envs: Annotated[Count, tyro.conf.arg(aliases=["--num-processes"])] = 0
     """Environments simulated side by side; 0 = 64 on a CPU, and on an accelerator 4096, or what suits
     the task (WORLDS)."""
     num_steps: Count = 20
@@ -196,7 +196,7 @@ class CoopConfig(LearnConfig):
         if self.freeze_robot and self.freeze_human:
             raise ConfigError(
                 "--freeze-robot with --freeze-human leaves nobody to learn. Use one of them, or "
-                "python -m train.evaluate to measure the two policies."
+                "agym-jax evaluate to measure the two policies."
             )
 
 
@@ -273,18 +273,17 @@ def env_name_in(arguments: Sequence[str], default: str = PPOConfig.env_name) -> 
     return name
 
 
-def parse_arguments(arguments: Sequence[str], kind: type[Config] = PPOConfig) -> Config:
+def parse_arguments(
+    arguments: Sequence[str], kind: type[Config] = PPOConfig, prog: str | None = None
+) -> Config:
     """Settings from command-line words, with the defaults of the environment they name."""
-    prog, does = {
-        PPOConfig: ("train.ppo", "Train a robot's policy with PPO."),
-        CoopConfig: (
-            "train.coop",
-            "Train robot and person side by side: two policies, one reward.",
-        ),
+    does = {
+        PPOConfig: "Train a robot's policy with PPO.",
+        CoopConfig: "Train robot and person side by side: two policies, one reward.",
     }[kind]
     return tyro.cli(
         kind,
-        prog=f"python -m {prog}",
+        prog=prog,
         description=f"{does} Rerunning the same command continues it.",
         args=list(arguments),
         default=config_for(env_name_in(arguments, kind.env_name), kind),

@@ -1,4 +1,4 @@
-"""Train robot and person to help each other: ``python -m train.coop --env-name ScratchItchJacoHuman-v0``.
+"""Train robot and person to help each other: ``agym-jax coop --env-name ScratchItchJacoHuman-v0``.
 
 Co-optimisation as in Assistive Gym: two policies, two observations, one reward, one compiled update.
 Rerunning the same command continues a run that was killed; ``train`` does the same from Python.
@@ -47,9 +47,13 @@ def train(
     return run_session(env, config, TwoLearners(config, env), mesh, progress, on_log)
 
 
-def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
+def main(
+    arguments: Sequence[str] | None = None,
+    make: Callable[[str, str], Any] = make_env,
+    prog: str = f"python -m {__package__}.coop",
+) -> int:
     """The command line; returns the exit status."""
-    return command_line(CoopConfig, train, arguments, make)
+    return command_line(CoopConfig, train, arguments, make, prog)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Who gets along with whom: ``python -m train.crossplay --env-name ScratchItchJacoHuman-v0 --runs a b c``.
+"""Who gets along with whom: ``agym-jax crossplay --env-name ScratchItchJacoHuman-v0 --runs a b c``.
 
 Every robot's policy helps every person's, over the same episodes; with a person who holds still in
 the last column. Pairs of one architecture share a compilation.
@@ -17,13 +17,16 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
-from agym_jax.policy.policy import FILE_NAMES, Policy, check_policy, find_policy
+from agym_jax.policy.agents import BASELINES, Baseline, Pair, parts
+from agym_jax.policy.check import check_policy
+from agym_jax.policy.files import find_policy, load_agent, run_file
+from agym_jax.policy.policy import Policy
+from agym_jax.registry import static_id
 
 from .configs import Count
-from .envs import make_env, parts, refuse_static_human, static_name
+from .envs import make_env, refuse_static_human
 from .errors import ConfigError
 from .evaluate import Evaluator
-from .evaluation.agents import BASELINES, Baseline, Pair, load_agent
 from .evaluation.score import EvaluationResult
 from .runs.record import append_record, record
 
@@ -34,7 +37,7 @@ Named = Mapping[str, Policy | Baseline]
 
 @dataclass(frozen=True)
 class CrossplayConfig:
-    """Flags of ``python -m train.crossplay``."""
+    """Flags of ``agym-jax crossplay``."""
 
     env_name: str = "ScratchItchJacoHuman-v0"
     """Environment id, one whose person acts too."""
@@ -65,7 +68,7 @@ def find_files(config: CrossplayConfig) -> tuple[list[str], list[str]]:
     """
     plain = config.env_name.rpartition(":")[2]
     robots, humans = (
-        [str(Path(run) / plain / FILE_NAMES[agent]) for run in config.runs] + list(more)
+        [str(run_file(Path(run) / plain, agent)) for run in config.runs] + list(more)
         for agent, more in (("robot", config.robots), ("human", config.humans))
     )
     for name in (*robots, *humans):
@@ -139,7 +142,7 @@ def run(config: CrossplayConfig, make: Callable[[str, str], Any] = make_env) -> 
     refuse_static_human(env)
     robots = {name: load_agent(name, env, "robot") for name in robot_files}
     humans = {name: load_agent(name, env, "human") for name in humans_files}
-    still = make(static_name(config.env_name), config.impl) if config.still_human else None
+    still = make(static_id(config.env_name), config.impl) if config.still_human else None
     for name, policy in robots.items():
         if still and isinstance(policy, Policy):
             check_policy(policy, still, name)
@@ -162,9 +165,13 @@ def run(config: CrossplayConfig, make: Callable[[str, str], Any] = make_env) -> 
     return matrix
 
 
-def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
+def main(
+    arguments: Sequence[str] | None = None,
+    make: Callable[[str, str], Any] = make_env,
+    prog: str = f"python -m {__package__}.crossplay",
+) -> int:
     """The command line; returns the exit status."""
-    config = tyro.cli(CrossplayConfig, prog="python -m train.crossplay", args=arguments)
+    config = tyro.cli(CrossplayConfig, prog=prog, args=arguments)
     try:
         run(config, make)
     except AgymError as error:

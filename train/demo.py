@@ -1,4 +1,4 @@
-"""See it work, on any CPU, in a few minutes: ``python -m train.demo``.
+"""See it work, on any CPU, in a few minutes: ``agym-jax demo``.
 
 1. The policy that ships with agym_jax helps a batch of people, all at once; table, film, pictures.
 2. A policy is trained from scratch for a minute, and its learning curve is drawn.
@@ -24,12 +24,12 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
-from agym_jax.policy.policy import find_policy, load_policy
+from agym_jax.policy.agents import baseline_policy
+from agym_jax.policy.files import PolicyFiles, find_policy, load_policies
 
 from .configs import Count, config_for
 from .enjoy import Frame, caption
 from .envs import make_env, vectorize
-from .evaluation.agents import baseline_policy
 from .evaluation.score import EvaluationResult
 from .learning.rollout import FORCE_KEY
 from .learning.stepwise import StepwiseEnv, evaluate_stepwise
@@ -43,7 +43,7 @@ LEAST_TRAINING = 60.0  # s, however late it is
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """Flags of ``python -m train.demo``."""
+    """Flags of ``agym-jax demo``."""
 
     env_name: str = "ScratchItchJaco-v0"
     """Environment id."""
@@ -148,7 +148,7 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
     check_writable(config.out, "Choose another with --out.")
     path = find_policy(config.env_name.rpartition(":")[2], None, config.policy)
     env = make(config.env_name, "jax")
-    policy = load_policy(path, env)
+    policy = load_policies(PolicyFiles(str(path), None), env)
     say(f"Compiling {env.name} for {config.humans} people. About a minute, once on this machine.")
     venv = StepwiseEnv(vectorize(env, config.humans))
 
@@ -192,9 +192,13 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
     say("Done.")
 
 
-def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
+def main(
+    arguments: Sequence[str] | None = None,
+    make: Callable[[str, str], Any] = make_env,
+    prog: str = f"python -m {__package__}.demo",
+) -> int:
     """The command line; returns the exit status."""
-    config = tyro.cli(DemoConfig, prog="python -m train.demo", args=arguments)
+    config = tyro.cli(DemoConfig, prog=prog, args=arguments)
     jax.config.update("jax_platforms", "cpu")
     try:
         run(config, make)

@@ -1,4 +1,4 @@
-"""Watch a policy: ``python -m train.enjoy --env-name ScratchItchJaco-v0 --clip scratch.gif``.
+"""Watch a policy: ``agym-jax enjoy --env-name ScratchItchJaco-v0 --clip scratch.gif``.
 
 One environment on the CPU, with C MuJoCo's physics; the seed decides the episodes. Writes a film, a sheet of pictures, or opens
 MuJoCo's viewer, and prints each episode's return, force and success.
@@ -20,12 +20,13 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
+from agym_jax.policy.agents import AnyPolicy
+from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.rendering.meshes import check_visuals
 
 from .configs import Count
 from .envs import make_env, programs
 from .errors import ConfigError
-from .evaluation.agents import AnyPolicy, find_policies, load_policies
 from .learning.rollout import FORCE_KEY
 
 SHEET_PICTURES = 20
@@ -33,7 +34,7 @@ SHEET_PICTURES = 20
 
 @dataclass(frozen=True)
 class EnjoyConfig:
-    """Flags of ``python -m train.enjoy``."""
+    """Flags of ``agym-jax enjoy``."""
 
     env_name: str = "ScratchItchJaco-v0"
     """Environment id."""
@@ -211,9 +212,13 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
     return lasts
 
 
-def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
+def main(
+    arguments: Sequence[str] | None = None,
+    make: Callable[[str, str], Any] = make_env,
+    prog: str = f"python -m {__package__}.enjoy",
+) -> int:
     """The command line; returns the exit status."""
-    config = tyro.cli(EnjoyConfig, prog="python -m train.enjoy", args=arguments)
+    config = tyro.cli(EnjoyConfig, prog=prog, args=arguments)
     jax.config.update(
         "jax_platforms", "cpu"
     )  # one environment: the accelerator would only be slower

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import jax
+
+from agym_jax.registry import active_id, static_id
 
 from .errors import ActiveHumanError
 
@@ -47,11 +48,11 @@ def refuse_active_human(env: Any, allow_joint_observation: bool) -> None:
     if len(agents) <= 1 or allow_joint_observation:
         return
     listed = " and ".join(f"{name} ({size} actions)" for name, size in agents.items())
-    static = static_name(env.name)
+    static = static_id(env.name)
     raise ActiveHumanError(
         f"In {env.name!r} {listed} act together. One policy for both would let the robot read the "
-        f"person's observation, which no real robot can. Train the two side by side with python -m "
-        f"train.coop --env-name {env.name}, train against a person who holds still with --env-name "
+        f"person's observation, which no real robot can. Train the two side by side with "
+        f"agym-jax coop --env-name {env.name}, train against a person who holds still with --env-name "
         f"{static}, or allow it on purpose with --allow-joint-observation."
     )
 
@@ -64,51 +65,6 @@ def refuse_static_human(env: Any) -> None:
     """
     if len(env.action_sizes) < 2:
         raise ActiveHumanError(
-            f"In {env.name!r} the person holds still, so there is only one to train: python -m "
-            f"train.ppo --env-name {env.name}. Both act in {active_name(env.name)!r}."
+            f"In {env.name!r} the person holds still, so there is only one to train: "
+            f"agym-jax train --env-name {env.name}. Both act in {active_id(env.name)!r}."
         )
-
-
-@dataclass(frozen=True)
-class Part:
-    """What belongs to one agent: columns of the observation and entries of the action."""
-
-    observed: slice
-    acted: slice
-    layout: str  # version of its observation's layout
-
-    @property
-    def sizes(self) -> tuple[int, int]:
-        """Columns of the observation, entries of the action."""
-        return self.observed.stop - self.observed.start, self.acted.stop - self.acted.start
-
-
-def parts(env: Any) -> dict[str, Part]:
-    """What belongs to "robot" and "person", and to "joint", which is both at once.
-
-    Where only the robot acts, all is the robot's.
-    """
-    n, m = env.observation_size, env.action_size
-    whole = Part(slice(0, n), slice(0, m), env.layout_version)
-    if len(env.action_sizes) < 2:
-        return {"robot": whole}
-    from agym_jax import observe
-
-    seen, moved = env.observation_sizes["robot"], env.action_sizes["robot"]
-    robot, human = (observe.layout_version(r) for r in (env.task.robot_obs, env.task.human_obs))
-    return {
-        "robot": Part(slice(0, seen), slice(0, moved), robot),
-        "human": Part(slice(seen, n), slice(moved, m), human),
-        "joint": whole,
-    }
-
-
-def static_name(env_name: str) -> str:
-    """The id of the same task and robot with a person who holds still."""
-    return env_name.replace("Human-", "-")
-
-
-def active_name(env_name: str) -> str:
-    """The id of the same task and robot with a person who acts."""
-    stem, _, version = static_name(env_name).rpartition("-")
-    return f"{stem}Human-{version}"

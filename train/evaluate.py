@@ -1,4 +1,4 @@
-"""Measure a policy: ``python -m train.evaluate --env-name ScratchItchJaco-v0 --num-episodes 100``.
+"""Measure a policy: ``agym-jax evaluate --env-name ScratchItchJaco-v0 --num-episodes 100``.
 
 All episodes run side by side in one compiled call. As in Assistive Gym's 100-episode evaluation:
 return, mean over the steps of the force on the person, and success at the last step.
@@ -19,11 +19,12 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
+from agym_jax.policy.agents import TREES, AnyPolicy, baseline_policy
+from agym_jax.policy.files import find_policies, load_policies
 
 from .configs import Count
 from .envs import make_env, vectorize
 from .errors import ConfigError
-from .evaluation.agents import TREES, AnyPolicy, baseline_policy, find_policies, load_policies
 from .evaluation.alone import evaluate_alone
 from .evaluation.score import EvaluationResult, add_step, result_of, zero_sums
 from .runs.record import append_record, record
@@ -105,7 +106,7 @@ def evaluate(
 
 @dataclass(frozen=True)
 class EvaluateConfig:
-    """Flags of ``python -m train.evaluate``."""
+    """Flags of ``agym-jax evaluate``."""
 
     env_name: str = "ScratchItchJaco-v0"
     """Environment id."""
@@ -129,9 +130,13 @@ class EvaluateConfig:
     """File to which the result is added as a JSON line."""
 
 
-def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
+def main(
+    arguments: Sequence[str] | None = None,
+    make: Callable[[str, str], Any] = make_env,
+    prog: str = f"python -m {__package__}.evaluate",
+) -> int:
     """The command line; returns the exit status."""
-    config = tyro.cli(EvaluateConfig, prog="python -m train.evaluate", args=arguments)
+    config = tyro.cli(EvaluateConfig, prog=prog, args=arguments)
     try:
         if config.json:
             check_writable(Path(config.json).parent, "Choose another file with --json.")

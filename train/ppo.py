@@ -1,4 +1,4 @@
-"""Train a robot's policy with PPO: ``python -m train.ppo --env-name ScratchItchJaco-v0``.
+"""Train a robot's policy with PPO: ``agym-jax train --env-name ScratchItchJaco-v0``.
 
 Rerunning the same command continues a run that was killed; ``train`` does the same from Python.
 """
@@ -58,9 +58,13 @@ def train(
     return run_session(env, config, algorithm, mesh, progress, told)
 
 
-def main(arguments: Sequence[str] | None = None, make: Callable[[str, str], Any] = make_env) -> int:
+def main(
+    arguments: Sequence[str] | None = None,
+    make: Callable[[str, str], Any] = make_env,
+    prog: str = f"python -m {__package__}.ppo",
+) -> int:
     """The command line; returns the exit status."""
-    return command_line(PPOConfig, train, arguments, make)
+    return command_line(PPOConfig, train, arguments, make, prog)
 
 
 if __name__ == "__main__":

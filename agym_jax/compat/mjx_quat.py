@@ -10,14 +10,10 @@ from here.
 
 from __future__ import annotations
 
-import contextlib
-import io
-
 import jax
 
-with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that warp-lang is not installed
-    from mujoco import mjx
-    from mujoco.mjx._src import math as mjx_math
+from agym_jax.compat.mjx_print import mjx  # isort: skip (before MJX's parts)
+from mujoco.mjx._src import math as mjx_math
 
 __all__ = ["apply", "mjx"]
 

@@ -1,4 +1,9 @@
-"""Named arrays and a JSON record in one ``.npz``: no pickle, checksummed, written atomically."""
+"""Named arrays in ``.npz`` files without pickle: the only place that reads and writes them.
+
+Banks and weights among the assets are checked array by array (``read_arrays``). Policies and
+checkpoints, which are written while training, carry a record in JSON and a checksum (``write_npz``,
+``read_npz``), and are replaced in one step.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +12,121 @@ import hashlib
 import io
 import json
 import os
+import struct
 import tempfile
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from train.errors import DamagedFileError, SaveFolderError
+from agym_jax.errors import AgymError, DamagedFileError, SaveFolderError
 
 META = "__meta__"
 DIGEST = "__sha256__"
+PROVENANCE = "provenance"
+Shape = tuple[int | str, ...]
+"""Of an array; a word stands for a length of at least 1, the same wherever the word is used."""
+BROKEN = (
+    ArithmeticError, AttributeError, LookupError, MemoryError, OSError, EOFError, RuntimeError,
+    SyntaxError, TypeError, ValueError, struct.error, tokenize.TokenError, zipfile.BadZipFile,
+    zlib.error,
+)  # fmt: skip
+"""What zip, NumPy and JSON raise when they are given broken bytes."""
+
+
+def _unpack(content: bytes) -> dict[str, np.ndarray]:
+    """The arrays in a file's bytes; raises one of ``BROKEN`` if they are no ``.npz``."""
+    if not zipfile.is_zipfile(io.BytesIO(content)):
+        raise ValueError("it is no .npz file")
+    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+# -- assets ------------------------------------------------------------------------------------
+
+
+def read_arrays(
+    path: Path,
+    what: str,
+    shapes: Mapping[str, Shape],
+    error: type[AgymError],
+    remedy: str,
+) -> dict[str, np.ndarray]:
+    """All arrays of an asset, those that are needed checked.
+
+    Args:
+        path: of the file.
+        what: it is, such as ``"placement bank"``.
+        shapes: name -> shape of the arrays of finite numbers that must be there.
+        error: what to raise.
+        remedy: how to get a file that is right.
+
+    Raises:
+        error: the file is missing, or damaged; says which array is wrong and has the remedy.
+    """
+    if not path.is_file():
+        raise error(f"There is no {what} {path}. {remedy}")
+    try:
+        arrays = _unpack(path.read_bytes())
+    except BROKEN as fault:
+        raise error(f"The {what} {path} is damaged: {fault}. {remedy}") from fault
+    lengths: dict[str, int] = {}
+    for name, shape in shapes.items():
+        fault = _fault(name, arrays.get(name), shape, lengths)
+        if fault:
+            raise error(f"The {what} {path} is damaged: {fault}. {remedy}")
+    return arrays
+
+
+def _fault(
+    name: str, array: np.ndarray | None, shape: Shape, lengths: dict[str, int]
+) -> str | None:
+    """What is wrong with an array, in words; ``lengths`` remembers what words stand for."""
+    if array is None:
+        return f"it has no {name}"
+    wanted = tuple(lengths.get(n, n) if isinstance(n, str) else n for n in shape)
+    pairs = list(zip(array.shape, wanted, strict=False))
+    if array.ndim != len(wanted) or any(
+        have != want if isinstance(want, int) else not have for have, want in pairs
+    ):
+        listed = ", ".join(map(str, wanted)) + ("," if len(wanted) == 1 else "")
+        return f"{name} has the shape {array.shape}, not ({listed})"
+    lengths |= {want: have for have, want in pairs if isinstance(want, str)}
+    if array.dtype.kind not in "biuf" or not np.isfinite(array).all():
+        return f"{name} has entries that are no finite numbers"
+    return None
+
+
+def write_arrays(
+    path: Path, arrays: Mapping[str, Any], provenance: Mapping[str, Any] | None = None
+) -> None:
+    """Write an asset, compressed.
+
+    Args:
+        path: file to write; its folder is made if need be.
+        arrays: name -> array of numbers.
+        provenance: where it came from, for JSON.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = {name: np.asarray(array) for name, array in arrays.items()}
+    if provenance is not None:
+        content[PROVENANCE] = np.array(json.dumps(provenance))
+    np.savez_compressed(path, allow_pickle=False, **content)
+
+
+def provenance_of(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Where an asset came from, as ``write_arrays`` was told; empty if it was not, or is unreadable."""
+    try:
+        return json.loads(str(arrays.get(PROVENANCE, "{}")))
+    except json.JSONDecodeError:
+        return {}
+
+
+# -- policies and checkpoints --------------------------------------------------------------------
 
 
 def _digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -57,7 +166,7 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> None:
-    """Save arrays and a record.
+    """Save arrays and a record, with a checksum.
 
     Args:
         path: file to write; its folder exists.
@@ -80,19 +189,20 @@ def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         DamagedFileError: the file is cut short, altered, or was not made by ``write_npz``.
         FileNotFoundError: there is no such file.
     """
+    packed = path.read_bytes()
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
-        digest = content.pop(DIGEST)
-        if not np.array_equal(digest, _digest(content)):
-            raise DamagedFileError(f"{path} is damaged: its checksum does not match its content.")
-        return content, json.loads(content.pop(META).tobytes())
-    except (FileNotFoundError, PermissionError, DamagedFileError):
-        raise
-    except Exception as error:  # broken bytes can make zip, NumPy and JSON fail in any way
+        content = _unpack(packed)
+        digest, text = content.pop(DIGEST), content[META].tobytes()
+        same = np.array_equal(digest, _digest(content))
+        meta = json.loads(text) if same else {}
+    except BROKEN as error:
         raise DamagedFileError(
             f"{path} is damaged, or not a file of this project ({type(error).__name__}: {error})."
         ) from error
+    if not same:
+        raise DamagedFileError(f"{path} is damaged: its checksum does not match its content.")
+    del content[META]
+    return content, meta
 
 
 def check_writable(folder: Path, advice: str = "Choose another with --save-dir.") -> None:

@@ -29,6 +29,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from agym_jax.data.assets import asset_path
+from agym_jax.data.npz import Shape, read_arrays
+from agym_jax.errors import DamagedFileError
 
 STIFFNESS = 30.0
 """Slope of the torque once well outside [N m/rad]. An estimate: the person's 1 N m of strength
@@ -74,15 +76,18 @@ def load_arm_limits(name: str = "human/arm_limits.npz") -> ArmLimits:
 
     Raises:
         MissingAssetError: the asset is not there.
+        DamagedFileError: it is damaged.
     """
-    with np.load(asset_path(name), allow_pickle=False) as data:
-        layers = range(sum(key.startswith("kernel_") for key in data.files))
-        return ArmLimits(
-            kernels=tuple(data[f"kernel_{i}"] for i in layers),
-            biases=tuple(data[f"bias_{i}"] for i in layers),
-            center=data["center"],
-            half_range=data["half_range"],
-        )
+    path = asset_path(name)
+    shapes: dict[str, Shape] = {"center": (4,), "half_range": (4,), "kernel_0": (5, "units")}
+    data = read_arrays(path, "arm limits", shapes, DamagedFileError, "Reinstall agym_jax.")
+    layers = range(sum(key.startswith("kernel_") for key in data))
+    return ArmLimits(
+        kernels=tuple(data[f"kernel_{i}"] for i in layers),
+        biases=tuple(data[f"bias_{i}"] for i in layers),
+        center=data["center"],
+        half_range=data["half_range"],
+    )
 
 
 def mirror_left(angles: Any, side_sign: Any = -1.0, xp: Any = jnp) -> Any:

@@ -1,9 +1,7 @@
-"""Banks of postures: people who lie on the bed as gravity left them; ``settle.py`` makes them."""
+"""Banks of postures: people who lie on the bed as gravity left them; ``agym-jax postures`` makes them."""
 
 from __future__ import annotations
 
-import json
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
@@ -14,6 +12,7 @@ import jax
 import numpy as np
 
 from agym_jax.data.assets import asset_root
+from agym_jax.data.npz import Shape, read_arrays, write_arrays
 from agym_jax.errors import MissingPostureError
 from agym_jax.human import anthropometry, body
 
@@ -25,7 +24,7 @@ Array = Any
 class Postures:
     """People and how they lie, one a row; or one of them, without the axis K.
 
-    The leaves of a bank are float32. Its parts and their order are those of ``settle.build_bank``; people
+    The leaves of a bank are float32. Its parts and their order are those of ``bed_postures.build_bank``; people
     of Assistive Gym's sizes come first.
     """
 
@@ -47,11 +46,11 @@ class Postures:
         return Postures(*(np.asarray(getattr(self, f.name)[i], float) for f in fields(self)))
 
 
-SHAPES = {
-    "sex": (), "stature": (), "girth": (), "limit_scale": (), "root_pos": (3,), "root_quat": (4,),
-    "angles": (len(body.JOINTS),),
+SHAPES: dict[str, Shape] = {
+    "sex": ("rows",), "stature": ("rows",), "girth": ("rows",), "limit_scale": ("rows",),
+    "root_pos": ("rows", 3), "root_quat": ("rows", 4), "angles": ("rows", len(body.JOINTS)),
 }  # fmt: skip
-"""Shape of one row of each field."""
+"""Of the fields of a bank."""
 
 
 def posture_path(name: str) -> Path:
@@ -82,10 +81,8 @@ def link_positions(human: Postures) -> dict[str, np.ndarray]:
 
 def save_postures(bank: Postures, name: str, provenance: dict) -> None:
     """Write the bank of a task without pickle, with where it came from."""
-    path = posture_path(name)
-    path.parent.mkdir(parents=True, exist_ok=True)
     arrays = {f.name: getattr(bank, f.name) for f in fields(Postures)}
-    np.savez_compressed(path, **arrays, provenance=np.array(json.dumps(provenance)))
+    write_arrays(posture_path(name), arrays, provenance)
 
 
 @cache
@@ -99,19 +96,8 @@ def load_postures(name: str) -> Postures:
         MissingPostureError: there is no such bank, or it is damaged; the message has its file and
             the command that makes it.
     """
-    path = posture_path(name)
-    remedy = f"Build it with: python -m agym_jax.offline.bed_postures build {name}"
-    if not path.is_file():
-        raise MissingPostureError(f"There is no bank of postures {path}. {remedy}")
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as z:
-            bank = Postures(**{f.name: np.asarray(z[f.name], np.float32) for f in fields(Postures)})
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise MissingPostureError(f"{path} cannot be read ({error}). {remedy}") from error
-    for field, shape in SHAPES.items():
-        value = getattr(bank, field)
-        if value.shape != (len(bank.sex), *shape) or not np.isfinite(value).all():
-            raise MissingPostureError(
-                f"{path} is damaged: {field} has shape {value.shape}, or is not finite. {remedy}"
-            )
-    return bank
+    arrays = read_arrays(
+        posture_path(name), "bank of postures", SHAPES, MissingPostureError,
+        f"Build it with: agym-jax postures build {name}",
+    )  # fmt: skip
+    return Postures(**{f.name: np.asarray(arrays[f.name], np.float32) for f in fields(Postures)})

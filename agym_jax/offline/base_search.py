@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from agym_jax.data.banks import Placement
 from agym_jax.errors import SpecError
 from agym_jax.human import body, population
 from agym_jax.human import pose as human_pose
@@ -28,7 +29,6 @@ from agym_jax.offline import kinematics
 from agym_jax.offline.clearance import Clearance
 from agym_jax.sim.scene import build_scene
 from agym_jax.spec import RobotSpec, Task
-from agym_jax.state import Placement
 
 REACHED = 0.001
 """A start pose counts as reached within this distance [m] (AG: 0.03) and REACHED_ROTATION [rad]."""

@@ -1,7 +1,7 @@
 """People who lie on the bed as gravity lets them: writes the banks that ``posture.py`` reads.
 
-    python -m agym_jax.offline.bed_postures build [BedBathing ArmManipulation] [--seed 0] [--each 128]
-    python -m agym_jax.offline.posture_report        # how they compare with Assistive Gym's
+    agym-jax postures build [BedBathing ArmManipulation] [--seed 0] [--each 128]
+    agym-jax postures report        # how they compare with Assistive Gym's
 
 As Assistive Gym does at every reset (bed_bathing.py, arm_manipulation.py; reference tasks.md
 sections 3 and 7), a limp person falls onto the bed for 2 s at -1 m/s^2, face up, with joint angles
@@ -25,6 +25,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 
@@ -36,7 +37,13 @@ from agym_jax.errors import AgymError, UnknownNameError
 from agym_jax.human import body
 from agym_jax.human.model import build as build_human
 from agym_jax.human.population import Population
-from agym_jax.human.posture import Postures, bank_of, link_positions, save_postures
+from agym_jax.human.posture import (
+    Postures,
+    bank_of,
+    link_positions,
+    load_postures,
+    save_postures,
+)
 
 LINKS, ALL, ARM = tuple(body.LINK), tuple(body.JOINTS), body.RIGHT_ARM
 ARM_LINKS = ("right_girdle", "right_upper_arm", "right_forearm", "right_hand")
@@ -269,33 +276,42 @@ def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Cou
     return bank_of(rows), counts
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line: build banks."""
+def _build(name: str, seed: int, each: int) -> None:
+    """Build the bank of one task."""
+    bank, counts = build_bank(name, seed, each)
+    provenance = {
+        "command": f"agym-jax postures build {name} --seed {seed} --each {each}",
+        "seed": seed, "counts": dict(counts),
+        "versions": {p: version(p) for p in ("mujoco", "numpy")},
+    }  # fmt: skip
+    save_postures(bank, name, provenance)
+    print(f"{name}: {dict(counts)}")
+
+
+def main(argv: Sequence[str] | None = None, prog: str = "agym-jax postures") -> int:
+    """The command line; returns the exit status."""
+    from agym_jax.offline.posture_report import compare  # reads SCENARIOS of this module
+
     parser = argparse.ArgumentParser(
-        prog="python -m agym_jax.offline.bed_postures", description=__doc__
+        prog=prog, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    build = parser.add_subparsers(required=True).add_parser("build", help="build banks of postures")
-    build.add_argument("tasks", nargs="*", default=list(SCENARIOS), metavar="TASK")
+    commands = parser.add_subparsers(required=True, dest="command")
+    build = commands.add_parser("build", help="build banks of postures")
     build.add_argument("--seed", type=int, default=0)
     build.add_argument("--each", type=int, default=128, help="rows of each of the six parts")
+    report = commands.add_parser("report", help="compare banks with Assistive Gym's people")
+    for command in (build, report):
+        command.add_argument("tasks", nargs="*", default=list(SCENARIOS), metavar="TASK")
     args = parser.parse_args(argv)
     try:
         for name in args.tasks:
             if name not in SCENARIOS:
                 raise UnknownNameError("task on the bed", name, SCENARIOS)
-            bank, counts = build_bank(name, args.seed, args.each)
-            command = f"python -m agym_jax.offline.bed_postures build {name} --seed {args.seed} --each {args.each}"
-            provenance = {
-                "command": command, "seed": args.seed, "counts": dict(counts),
-                "versions": {p: version(p) for p in ("mujoco", "numpy")},
-            }  # fmt: skip
-            save_postures(bank, name, provenance)
-            print(f"{name}: {dict(counts)}")
+            if args.command == "report":
+                compare(load_postures(name), name)
+            else:
+                _build(name, args.seed, args.each)
     except AgymError as error:
         print(error, file=sys.stderr)
         return 1
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

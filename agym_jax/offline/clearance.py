@@ -5,11 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from agym_jax.data.banks import Placement
 from agym_jax.human import pose as human_pose
 from agym_jax.sim.scene import compose
 from agym_jax.sim.validate import COLLISION
 from agym_jax.spec import RobotSpec, Task
-from agym_jax.state import Placement
 
 FAR = 0.1
 """Distances beyond this are not resolved [m]."""

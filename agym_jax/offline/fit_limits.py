@@ -1,6 +1,6 @@
 """Fits the network of ``limits.py`` to samples of Assistive Gym's arm-limit classifier.
 
-    python -m agym_jax.offline.fit_limits SAMPLES.npz [--out WEIGHTS.npz] [--heldout-out HELDOUT.npz]
+    agym-jax arm-limits SAMPLES.npz [--out WEIGHTS.npz] [--heldout-out HELDOUT.npz]
 
 SAMPLES.npz holds ``angles`` (n, 4) [rad] right-arm convention, ``label`` (n,) 1 = reachable,
 ``probability`` (n,) the classifier's output, and the box ``lower``, ``upper`` (4,) [rad]. One
@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,15 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from agym_jax.data.assets import asset_root
+from agym_jax.data.npz import Shape, read_arrays, write_arrays
+from agym_jax.errors import AgymError
 from agym_jax.human.limits import ArmLimits, reachability
 
+SAMPLES: dict[str, Shape] = {
+    "angles": ("samples", 4), "label": ("samples",), "probability": ("samples",), "lower": (4,),
+    "upper": (4,),
+}  # fmt: skip
 HELD_OUT = 0.15
 HELD_OUT_WRITTEN = 10_000
 SHARPNESS = 2.0
@@ -115,13 +123,12 @@ def fit(
     return model(carry[0])
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description="Fits the arm-limit network to classifier samples."
-    )
+def main(argv: Sequence[str] | None = None, prog: str = "agym-jax arm-limits") -> int:
+    """The command line; returns the exit status."""
+    description = "Fits the arm-limit network to classifier samples."
+    parser = argparse.ArgumentParser(prog=prog, description=description)
     parser.add_argument("samples", type=Path, metavar="SAMPLES.npz")
-    parser.add_argument("--out", type=Path, default=Path("assets/human/arm_limits.npz"))
+    parser.add_argument("--out", type=Path, default=asset_root() / "human" / "arm_limits.npz")
     parser.add_argument("--heldout-out", type=Path, help="write held-out samples for the tests")
     parser.add_argument("--hidden", type=int, nargs="+", default=[64, 64, 64])
     parser.add_argument("--teachers", type=int, default=4)
@@ -131,13 +138,21 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=2048)
     parser.add_argument("--learning-rate", type=float, default=0.02)
     parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+    args = parser.parse_args(argv)
 
-    with np.load(args.samples, allow_pickle=False) as data:
-        angles = data["angles"].astype(np.float32)
-        label = data["label"] > 0
-        target = soft_labels(data["probability"])
-        lower, upper = data["lower"], data["upper"]
+    try:
+        data = read_arrays(
+            args.samples,
+            "file of samples",
+            SAMPLES,
+            AgymError,
+            "The help says what it has to hold.",
+        )
+    except AgymError as error:
+        print(error, file=sys.stderr)
+        return 1
+    angles, label = data["angles"].astype(np.float32), data["label"] > 0
+    target, lower, upper = soft_labels(data["probability"]), data["lower"], data["upper"]
     fitted, held_out = split(len(angles), args.seed)
     x, y = jnp.asarray(angles[fitted]), jnp.asarray(target[fitted])
     hidden = tuple(args.hidden)
@@ -185,24 +200,16 @@ def main() -> None:
     arrays: dict[str, Any] = {"center": limits.center, "half_range": limits.half_range}
     for i, (kernel, bias) in enumerate(zip(limits.kernels, limits.biases, strict=True)):
         arrays |= {f"kernel_{i}": kernel, f"bias_{i}": bias}
-    args.out.parent.mkdir(parents=True, exist_ok=True)
     arrays = {name: np.asarray(value, np.float32) for name, value in arrays.items()}
-    np.savez(
-        args.out,
-        **arrays,
-        seed=args.seed,
-        n_samples=len(angles),
-        n_fitted=len(fitted),
-        heldout_agreement=right.mean(),
-        samples_sha256=hashlib.sha256(args.samples.read_bytes()).hexdigest(),
-    )
+    arrays |= {
+        "seed": args.seed, "n_samples": len(angles), "n_fitted": len(fitted),
+        "heldout_agreement": right.mean(),
+        "samples_sha256": hashlib.sha256(args.samples.read_bytes()).hexdigest(),
+    }  # fmt: skip
+    write_arrays(args.out, arrays)
     print(f"wrote {args.out}")
     if args.heldout_out:
         chosen = held_out[:HELD_OUT_WRITTEN]
-        args.heldout_out.parent.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(args.heldout_out, angles=angles[chosen], label=label[chosen])
+        write_arrays(args.heldout_out, {"angles": angles[chosen], "label": label[chosen]})
         print(f"wrote {args.heldout_out}")
-
-
-if __name__ == "__main__":
-    main()
+    return 0

@@ -1,6 +1,6 @@
 """A hospital gown, cut from a few numbers: a sleeve, and under its opening a piece of the body.
 
-``python -m agym_jax.offline.gown`` writes ``assets/garments/gown.npz``. The gown at rest, in the frame of
+``agym-jax gown`` writes ``assets/garments/gown.npz``. The gown at rest, in the frame of
 ``garment.py``: the sleeve is a tapering tube along -y. Its opening, where the hand enters, is the loop that the
 sleeve test watches; its other end has the perimeter of AG's cuff, 0.386 m. The gripper holds the top of the opening
 by a patch that is as wide as AG's, 75 mm. The body continues the underside of the opening along +y: the arc
@@ -17,6 +17,8 @@ stretching. AG's gripper holds the shoulder, and the loop, the sleeve's other en
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,10 +129,14 @@ def _unit(a: np.ndarray) -> np.ndarray:
     return a / np.linalg.norm(a)
 
 
-if __name__ == "__main__":
+def main(argv: Sequence[str] | None = None, prog: str = "agym-jax gown") -> int:
+    """The command line; returns the exit status."""
+    description = "Cut the gown that the package ships, let it hang, and write it into the assets."
+    argparse.ArgumentParser(prog=prog, description=description).parse_args(argv)
     gown = settle(cut())
     save(gown, asset_root() / GOWN)
     print(
         f"{len(gown.vertices)} vertices, {len(gown.triangles)} triangles, {gown.areas.sum():.3f} m^2, "
         f"{gown.mass:.3f} kg, cuff {gown.cuff_perimeter:.4f} m of {len(gown.cuff)}, {len(gown.anchors)} anchors"
     )
+    return 0

@@ -1,54 +1,37 @@
 """Food and water as they lie in spoon and cup: banks of arrangements, so that a reset is a look-up.
 
-    python -m agym_jax.offline.particle_fill [spoon cup] [--seed 0] [--rows 64]
+    agym-jax particles [spoon cup] [--seed 0] [--rows 64]
 
 Assistive Gym drops a grid of spheres into the tool at every reset and lets it settle for 1 s (food) or 0.4 s
 (water): feeding.py, drinking.py reset. Here that is done once, offline, for many directions in which
 gravity may point in the vessel's frame: tilts up to 20 degrees for the spoon and 10 for the cup, spread
 evenly over the disc, the first one upright. Each row is the lowest of several grids that were dropped
 with small random shifts, almost without friction, turned with the vessel, and have then come to rest.
-
-DEVIATION(settled-bank): an episode begins with particles at rest, in an arrangement of the nearest tilt; AG
-begins with whatever motion its settling has left.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache
 from importlib.metadata import version
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from agym_jax.data.assets import asset_root
+from agym_jax.data.npz import write_arrays
 from agym_jax.errors import AgymError, UnknownNameError
-from agym_jax.matter.particles.solver import (
-    FOOD,
-    WATER,
-    Obstacles,
-    Particles,
-    ParticleSpec,
-    advance,
-)
+from agym_jax.matter.particles.fill import CONTENTS, DOWN, FillBank, fill_path
+from agym_jax.matter.particles.solver import Obstacles, Particles, ParticleSpec, advance
 from agym_jax.matter.shapes import no_boxes, no_capsules, rotation
 
-DOWN = (0.0, 0.0, -1.0)
 SLICK = 0.02  # friction while they fall: they find low places
 FALL_TIME, TURN_TIME, REST_TIME = 2.0, 1.0, 2.0  # [s]
 JITTER = 5e-4  # of the grid [m]
 STILL = 0.01  # mean speed at which particles are at rest [m/s]
-
-
-class MissingFillError(AgymError, FileNotFoundError):
-    """A vessel without its bank of settled particles, or with a damaged one."""
 
 
 @dataclass(frozen=True)
@@ -75,67 +58,9 @@ class Filling:
 
 
 FILLINGS = {
-    "spoon": Filling(FOOD, 0.01, (2, 2, 2), 0.0147, np.deg2rad(20.0), 16, 1),
-    "cup": Filling(WATER, 0.01, (4, 4, 4), 0.075, np.deg2rad(10.0), 2, 2),
+    "spoon": Filling(CONTENTS["spoon"], 0.01, (2, 2, 2), 0.0147, np.deg2rad(20.0), 16, 1),
+    "cup": Filling(CONTENTS["cup"], 0.01, (4, 4, 4), 0.075, np.deg2rad(10.0), 2, 2),
 }
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class FillBank:
-    """A bank of K arrangements of n particles, in the vessel's frame."""
-
-    gravity_dir: Array | np.ndarray  # unit vectors in which gravity points (K, 3)
-    pos: Array | np.ndarray  # centres [m]                                  (K, n, 3)
-
-
-def fill_path(name: str) -> Path:
-    """Where a vessel's bank is kept."""
-    return asset_root() / "matter" / f"{name}.npz"
-
-
-@cache
-def load_fill(name: str) -> FillBank:
-    """The bank of ``"spoon"`` or ``"cup"``, as NumPy arrays.
-
-    Raises:
-        UnknownNameError: there is no such vessel.
-        MissingSettledError: its bank is missing or damaged; the message has the command that makes it.
-    """
-    if name not in FILLINGS:
-        raise UnknownNameError("vessel", name, FILLINGS)
-    path, remedy = (
-        fill_path(name),
-        f"Build it with: python -m agym_jax.offline.particle_fill {name}",
-    )
-    if not path.is_file():
-        raise MissingFillError(f"There is no bank of settled particles {path}. {remedy}")
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as z:
-            bank = FillBank(**{f.name: np.asarray(z[f.name], np.float32) for f in fields(FillBank)})
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise MissingFillError(f"{path} cannot be read ({error}). {remedy}") from error
-    rows, count = len(bank.gravity_dir), FILLINGS[name].spec.count
-    if bank.gravity_dir.shape != (rows, 3) or bank.pos.shape != (rows, count, 3) or not rows:
-        raise MissingFillError(
-            f"{path} is damaged: directions {bank.gravity_dir.shape}, positions {bank.pos.shape} of "
-            f"{count} particles. {remedy}"
-        )
-    return bank
-
-
-def fill(bank: FillBank, vessel_pos_w: Array, vessel_quat_w: Array) -> Particles:
-    """Particles at rest in a vessel, as they lie at the nearest tilt of the bank.
-
-    Args:
-        bank: of the vessel.
-        vessel_pos_w: of the vessel's frame [m] (3,).
-        vessel_quat_w: wxyz (4,).
-    """
-    rot_w = rotation(vessel_quat_w)
-    nearest = jnp.argmax(jnp.asarray(bank.gravity_dir) @ (jnp.array(DOWN) @ rot_w))
-    pos_w = vessel_pos_w + jnp.asarray(bank.pos)[nearest] @ rot_w.T
-    return Particles(pos_w, jnp.zeros_like(pos_w), jnp.ones(len(pos_w), bool))
 
 
 def directions(rows: int, tilt: float) -> np.ndarray:
@@ -253,16 +178,14 @@ def _lies_in(spec: ParticleSpec, pos: np.ndarray) -> np.ndarray:
 
 def save_settled(bank: FillBank, name: str, provenance: dict) -> None:
     """Write the bank of a vessel without pickle, with where it came from."""
-    path: Path = fill_path(name)
-    path.parent.mkdir(parents=True, exist_ok=True)
     arrays = {f.name: getattr(bank, f.name) for f in fields(FillBank)}
-    np.savez_compressed(path, **arrays, provenance=np.array(json.dumps(provenance)))
+    write_arrays(fill_path(name), arrays, provenance)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line: build banks."""
+def main(argv: Sequence[str] | None = None, prog: str = "agym-jax particles") -> int:
+    """The command line; returns the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m agym_jax.offline.particle_fill", description=__doc__
+        prog=prog, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("vessels", nargs="*", default=list(FILLINGS), metavar="VESSEL")
     parser.add_argument("--seed", type=int, default=0)
@@ -273,7 +196,7 @@ def main(argv: list[str] | None = None) -> int:
             if name not in FILLINGS:
                 raise UnknownNameError("vessel", name, FILLINGS)
             bank, facts = build(name, args.seed, args.rows)
-            command = f"python -m agym_jax.offline.particle_fill {name} --seed {args.seed} --rows {args.rows}"
+            command = f"agym-jax particles {name} --seed {args.seed} --rows {args.rows}"
             versions = {p: version(p) for p in ("jax", "numpy")}
             provenance = {"command": command, "seed": args.seed, "facts": facts}
             save_settled(bank, name, provenance | {"versions": versions})
@@ -282,7 +205,3 @@ def main(argv: list[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 1
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -1,18 +1,14 @@
 """How the banks of people in bed compare with the people whom Assistive Gym's simulation settles.
 
-python -m agym_jax.offline.posture_report [BedBathing ArmManipulation]
+``agym-jax postures report`` prints it.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-
 import numpy as np
 
-from agym_jax.errors import AgymError, UnknownNameError
-from agym_jax.human.posture import Postures, link_positions, load_postures
-from agym_jax.offline.bed_postures import ALL, ARM, LINKS, SCENARIOS
+from agym_jax.human.posture import Postures, link_positions
+from agym_jax.offline.bed_postures import ALL, ARM, LINKS
 
 AG = {
     "BedBathing": {
@@ -69,24 +65,3 @@ def compare(bank: Postures, name: str) -> None:
             mean, spread = (np.round(x, 3 if key in LINKS else 0) for x in found[key])
             wanted = AG[name][key][sex] if key in AG[name] else "not measured"
             print(f"{who:6} {key:18} {mean!s:24} +- {spread!s:22} AG {wanted}")
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Command line: compare banks."""
-    parser = argparse.ArgumentParser(
-        prog="python -m agym_jax.offline.posture_report", description=__doc__
-    )
-    parser.add_argument("tasks", nargs="*", default=list(SCENARIOS), metavar="TASK")
-    try:
-        for name in parser.parse_args(argv).tasks:
-            if name not in SCENARIOS:
-                raise UnknownNameError("task on the bed", name, SCENARIOS)
-            compare(load_postures(name), name)
-    except AgymError as error:
-        print(error, file=sys.stderr)
-        return 1
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -10,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from agym_jax.data.banks import Placement
 from agym_jax.human import population
 from agym_jax.human import pose as human_pose
 from agym_jax.human.body import BodyFields
 from agym_jax.sim.scene import Scene
 from agym_jax.spec import HumanSpec
-from agym_jax.state import Episode, Placement
+from agym_jax.state import Episode
 
 EpisodeSample = tuple[population.Human, human_pose.BodyPose, Placement]
 """Who the person is, how they sit or lie, and where the robot starts."""

@@ -1,15 +1,23 @@
-"""The tasks: one file each."""
+"""The tasks: one file each, imported when it is first asked for."""
 
-from agym_jax.spec import Task
-from agym_jax.tasks.arm_manipulation import ARM_MANIPULATION
-from agym_jax.tasks.bed_bathing import BED_BATHING
-from agym_jax.tasks.dressing import DRESSING
-from agym_jax.tasks.drinking import DRINKING
-from agym_jax.tasks.feeding import FEEDING
-from agym_jax.tasks.reaching import REACHING
-from agym_jax.tasks.scratch_itch import SCRATCH_ITCH
+from __future__ import annotations
 
-TASKS: dict[str, Task] = {
-    task.name: task
-    for task in (SCRATCH_ITCH, BED_BATHING, FEEDING, DRINKING, DRESSING, ARM_MANIPULATION, REACHING)
-}
+from typing import TYPE_CHECKING
+
+from agym_jax.catalogue import Catalogue
+
+if TYPE_CHECKING:
+    from agym_jax.spec import Task
+
+TASKS: Catalogue[Task] = Catalogue(
+    {
+        "ScratchItch": "agym_jax.tasks.scratch_itch:SCRATCH_ITCH",
+        "BedBathing": "agym_jax.tasks.bed_bathing:BED_BATHING",
+        "Feeding": "agym_jax.tasks.feeding:FEEDING",
+        "Drinking": "agym_jax.tasks.drinking:DRINKING",
+        "Dressing": "agym_jax.tasks.dressing:DRESSING",
+        "ArmManipulation": "agym_jax.tasks.arm_manipulation:ARM_MANIPULATION",
+        "Reaching": "agym_jax.tasks.reaching:REACHING",
+    }
+)
+"""Name -> task; the name is the task's own."""

@@ -26,7 +26,7 @@ from agym_jax.furniture import WHEELCHAIR_UP_CLOSE
 from agym_jax.matter.particles.checks import check
 from agym_jax.matter.particles.solver import WATER, Contact, Particles, ParticleSpec, advance
 from agym_jax.matter.shapes import no_boxes, rotation
-from agym_jax.offline.particle_fill import fill, load_fill
+from agym_jax.matter.particles.fill import fill, load_fill
 from agym_jax.preferences import meal_terms, preference_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec

@@ -13,22 +13,23 @@ import numpy as np
 import pytest
 from paths import SUPPORT
 
-from agym_jax.data import banks as placement
+from agym_jax.data import banks
 from agym_jax.data.assets import asset_root
+from agym_jax.data.banks import Placement, bank_path, find_bank, load_bank
 from agym_jax.errors import MissingPlacementError, SpecError
+from agym_jax.offline import placements
 from agym_jax.robots import ROBOTS
-from agym_jax.state import Placement
 from agym_jax.tasks import TASKS
 
 TASK, ROBOT = TASKS["Reaching"], ROBOTS["Jaco"]
-BUILD = r"python -m agym_jax\.placement build ReachingJaco-v0"
+BUILD = "agym-jax placements build ReachingJaco-v0"
 ROWS = {"base_pos": np.zeros((2, 3)), "base_quat": np.eye(4)[:2], "arm_angles": np.zeros((2, 7))}
 
 
 @pytest.fixture
 def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder of the user's own banks."""
-    monkeypatch.setenv(placement.VARIABLE, str(tmp_path / "own"))
+    monkeypatch.setenv(banks.VARIABLE, str(tmp_path / "own"))
     return tmp_path / "own"
 
 
@@ -45,37 +46,37 @@ def write(folder: Path, **changes: np.ndarray | None) -> Path:
 
 def test_banks_are_the_packages_unless_the_user_has_their_own(own: Path):
     package = asset_root() / "placements"
-    assert placement.bank_folders() == (own, package)
-    assert placement.find_bank(TASK, ROBOT) == package / "ReachingJaco.npz"
-    many = len(placement.load_bank(TASK, ROBOT).arm_angles)
-    path = placement.bank_path(TASK, ROBOT)
+    assert banks.bank_folders() == (own, package)
+    assert find_bank(TASK, ROBOT) == package / "ReachingJaco.npz"
+    many = len(load_bank(TASK, ROBOT).arm_angles)
+    path = bank_path(TASK, ROBOT)
     assert path == own / "ReachingJaco.npz"
-    placement.save_bank(Placement(*ROWS.values()), path, {})
-    assert placement.find_bank(TASK, ROBOT) == path
-    assert len(placement.load_bank(TASK, ROBOT).arm_angles) == 2 < many
+    placements.save_bank(Placement(*ROWS.values()), path, {})
+    assert find_bank(TASK, ROBOT) == path
+    assert len(load_bank(TASK, ROBOT).arm_angles) == 2 < many
 
 
 def test_without_the_variable_banks_are_written_into_the_package(monkeypatch):
-    monkeypatch.delenv(placement.VARIABLE, raising=False)
-    assert placement.bank_path(TASK, ROBOT) == asset_root() / "placements" / "ReachingJaco.npz"
+    monkeypatch.delenv(banks.VARIABLE, raising=False)
+    assert bank_path(TASK, ROBOT) == asset_root() / "placements" / "ReachingJaco.npz"
 
 
 def test_a_bank_that_was_built_again_is_read_again(own: Path):
-    placement.save_bank(Placement(*ROWS.values()), placement.bank_path(TASK, ROBOT), {})
-    assert placement.load_bank(TASK, ROBOT) is placement.load_bank(TASK, ROBOT)
+    placements.save_bank(Placement(*ROWS.values()), bank_path(TASK, ROBOT), {})
+    assert load_bank(TASK, ROBOT) is load_bank(TASK, ROBOT)
     row = Placement(*(x[:1] for x in ROWS.values()))
-    placement.save_bank(row, placement.bank_path(TASK, ROBOT), {})
-    assert len(placement.load_bank(TASK, ROBOT).arm_angles) == 1
+    placements.save_bank(row, bank_path(TASK, ROBOT), {})
+    assert len(load_bank(TASK, ROBOT).arm_angles) == 1
 
 
 def test_a_folder_that_cannot_be_written_is_told_before_the_search(own: Path, capsys, monkeypatch):
     own.touch()
     monkeypatch.setattr(
-        "agym_jax.offline.base_search.search", lambda *_: pytest.fail("searched in vain")
+        "agym_jax.offline.placements.search", lambda *_: pytest.fail("searched in vain")
     )
-    assert placement.main(["build", "ReachingJaco-v0"]) == 1
+    assert placements.main(["build", "ReachingJaco-v0"]) == 1
     said = capsys.readouterr().err
-    assert f"Cannot write banks into {own}" in said and "AGYM_JAX_PLACEMENTS" in said
+    assert f"Cannot write to the folder {str(own)!r}" in said and "AGYM_JAX_PLACEMENTS" in said
 
 
 # -- missing, stale, damaged -------------------------------------------------------------------
@@ -84,13 +85,13 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_search(own: Path, ca
 def test_a_missing_bank_says_where_was_looked(own: Path):
     toybot = dataclasses.replace(ROBOT, name="Toybot")
     with pytest.raises(MissingPlacementError, match=rf"looked in {re.escape(str(own))}, .*\)"):
-        placement.load_bank(TASK, toybot)
+        load_bank(TASK, toybot)
 
 
 def test_a_bank_of_another_arm_is_stale(own: Path):
     write(own, arm_angles=np.zeros((2, 6)))
     with pytest.raises(SpecError, match=rf"is of 6 joints, but Jaco uses 7 in Reaching.*{BUILD}"):
-        placement.load_bank(TASK, ROBOT)
+        load_bank(TASK, ROBOT)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +101,7 @@ def test_a_bank_of_another_arm_is_stale(own: Path):
 def test_a_file_that_is_no_bank_is_damaged(own: Path, content: bytes, why: str):
     write(own).write_bytes(content)
     with pytest.raises(MissingPlacementError, match=rf"damaged: it is {why}.*again with: {BUILD}"):
-        placement.load_bank(TASK, ROBOT)
+        load_bank(TASK, ROBOT)
 
 
 def test_a_file_that_was_cut_or_changed_is_damaged(own: Path):
@@ -108,11 +109,11 @@ def test_a_file_that_was_cut_or_changed_is_damaged(own: Path):
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(MissingPlacementError, match=rf"damaged.*{BUILD}"):
-        placement.load_bank(TASK, ROBOT)
+        load_bank(TASK, ROBOT)
     where = whole.index(np.eye(4)[:2].tobytes())
     path.write_bytes(whole[:where] + b"\xff" * 8 + whole[where + 8 :])
     with pytest.raises(MissingPlacementError, match=rf"damaged.*{BUILD}"):
-        placement.load_bank(TASK, ROBOT)
+        load_bank(TASK, ROBOT)
 
 
 @pytest.mark.parametrize(
@@ -122,21 +123,27 @@ def test_a_file_that_was_cut_or_changed_is_damaged(own: Path):
         ({"base_pos": np.zeros((2, 2))}, r"base_pos has the shape \(2, 2\), not \(2, 3\)"),
         ({"arm_angles": np.zeros((3, 7))}, r"arm_angles has the shape \(3, 7\), not \(2, joints\)"),
         ({"arm_angles": np.zeros(7)}, r"arm_angles has the shape \(7,\)"),
-        ({"arm_angles": np.full((2, 7), np.nan)}, "arm_angles has entries that are no numbers"),
-        ({"base_pos": np.array([["a", "b", "c"]] * 2)}, "base_pos has entries that are no numbers"),
+        (
+            {"arm_angles": np.full((2, 7), np.nan)},
+            "arm_angles has entries that are no finite numbers",
+        ),
+        (
+            {"base_pos": np.array([["a", "b", "c"]] * 2)},
+            "base_pos has entries that are no finite numbers",
+        ),
         ({k: x[:0] for k, x in ROWS.items()}, r"base_pos has the shape \(0, 3\)"),
     ],
 )
 def test_arrays_that_are_missing_or_misshapen_are_named(own: Path, changes: dict, why: str):
     write(own, **changes)
     with pytest.raises(MissingPlacementError, match=rf"damaged: {why}.*again with: {BUILD}"):
-        placement.load_bank(TASK, ROBOT)
+        load_bank(TASK, ROBOT)
 
 
 def test_the_report_shows_damaged_banks_and_those_without_a_history(own: Path, capsys):
     write(own)
     (own / "Broken.npz").write_bytes(b"not a bank")
-    assert placement.main(["report"]) == 0
+    assert placements.main(["report"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "| ReachingJaco | - | - | - | - |" in lines
     assert "| Broken | damaged: build it again | - | - | - |" in lines
@@ -154,7 +161,8 @@ def test_ids_of_a_module_outside_work_on_every_command_line(own: Path):
         "-W",
         "error::RuntimeWarning",
         "-m",
-        "agym_jax.observe",
+        "agym_jax",
+        "observe",
         "toy_plug_in:WavingJaco-v0",
     ]
     found = subprocess.run(

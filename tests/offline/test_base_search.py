@@ -15,16 +15,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from agym_jax.data import banks as placement
+from agym_jax.data.banks import Placement, load_bank
 from agym_jax.errors import MissingPlacementError, SpecError
 from agym_jax.human import pose as human_pose
+from agym_jax.offline import placements
 from agym_jax.offline.base_search import REACHED, REACHED_ROTATION, search
 from agym_jax.offline.clearance import Clearance
 from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
 from agym_jax.spec import BaseSearch, RobotSpec, Task
-from agym_jax.state import Placement
 from agym_jax.tasks import TASKS
 from agym_jax.tasks.arm_manipulation import ArmManipulation
 from agym_jax.tasks.bed_bathing import BedBathing
@@ -113,7 +113,7 @@ def turned_by(rot: np.ndarray, quat: Any) -> float:
 @pytest.mark.parametrize(("task", "robot"), PAIRS)
 def test_banks_rows_keep_to_limits_and_to_where_bases_may_stand(task: str, robot: str):
     spec, machine = TASKS[task], ROBOTS[robot]
-    bank = placement.load_bank(spec, machine)
+    bank = load_bank(spec, machine)
     arms = machine.arms_for(spec)
     n = len(bank.arm_angles)
     assert n >= 128 and bank.arm_angles.shape == (n, 7 * len(arms))
@@ -146,7 +146,7 @@ def test_banks_rows_keep_to_limits_and_to_where_bases_may_stand(task: str, robot
 @pytest.mark.parametrize(("task", "robot"), PAIRS)
 def test_banks_rows_start_where_assistive_gym_does_and_touch_nothing(task: str, robot: str):
     spec, machine = TASKS[task], ROBOTS[robot]
-    bank, world = placement.load_bank(spec, machine), stage(spec, machine)
+    bank, world = load_bank(spec, machine), stage(spec, machine)
     starts = START[task]
     if robot == "Jaco":
         starts = JACO_STARTS.get(task, starts)
@@ -247,14 +247,14 @@ def test_goal_out_of_reach_is_named():
 
 def test_missing_bank_names_the_command():
     toybot = dataclasses.replace(ROBOTS["Jaco"], name="Toybot")
-    command = r"python -m agym_jax\.placement build ReachingToybot-v0"
+    command = r"agym-jax placements build ReachingToybot-v0"
     with pytest.raises(MissingPlacementError, match=command):
-        placement.load_bank(TASKS["Reaching"], toybot)
+        load_bank(TASKS["Reaching"], toybot)
 
 
 def test_bank_comes_back_as_it_was_saved(tmp_path):
-    bank = placement.load_bank(TASKS["ScratchItch"], ROBOTS["Jaco"])
-    placement.save_bank(bank, tmp_path / "deep" / "bank.npz", {"seed": 7})
+    bank = load_bank(TASKS["ScratchItch"], ROBOTS["Jaco"])
+    placements.save_bank(bank, tmp_path / "deep" / "bank.npz", {"seed": 7})
     with np.load(tmp_path / "deep" / "bank.npz", allow_pickle=False) as z:
         for field in dataclasses.fields(Placement):
             np.testing.assert_array_equal(z[field.name], getattr(bank, field.name))
@@ -262,11 +262,11 @@ def test_bank_comes_back_as_it_was_saved(tmp_path):
 
 
 def test_command_line_reports_every_bank_and_refuses_nonsense(capsys: pytest.CaptureFixture):
-    assert placement.main(["report"]) == 0
+    assert placements.main(["report"]) == 0
     lines = capsys.readouterr().out.splitlines()
     for task, robot in PAIRS:
         (line,) = (x for x in lines if x.startswith(f"| {task}{robot} |"))
-        kept = len(placement.load_bank(TASKS[task], ROBOTS[robot]).arm_angles)
+        kept = len(load_bank(TASKS[task], ROBOTS[robot]).arm_angles)
         assert line.endswith(f"| {kept} |") and line.count("|") == 6
-    assert placement.main(["build", "ScratchItchJako-v0"]) == 1
+    assert placements.main(["build", "ScratchItchJako-v0"]) == 1
     assert "Did you mean 'ScratchItchJaco-v0'" in capsys.readouterr().err

@@ -237,13 +237,15 @@ def test_a_bank_that_cannot_be_filled_says_so(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_missing_and_damaged_banks_name_file_and_remedy(monkeypatch, tmp_path):
-    with pytest.raises(MissingPostureError, match=r"Sleeping\.npz.*settle build Sleeping"):
+    with pytest.raises(
+        MissingPostureError, match=r"Sleeping\.npz.*agym-jax postures build Sleeping"
+    ):
         load_postures("Sleeping")
     monkeypatch.setattr(posture, "posture_path", lambda name: tmp_path / f"{name}.npz")
     for name in ("Torn", "Short", "Nan"):
         bank = load_postures.__wrapped__
         path = tmp_path / f"{name}.npz"
-        arrays = {k: np.zeros((2, *shape), np.float32) for k, shape in posture.SHAPES.items()}
+        arrays = {k: np.zeros((2, *shape[1:]), np.float32) for k, shape in posture.SHAPES.items()}
         if name == "Short":
             arrays["angles"] = arrays["angles"][:1]
         if name == "Nan":
@@ -251,7 +253,9 @@ def test_missing_and_damaged_banks_name_file_and_remedy(monkeypatch, tmp_path):
         np.savez_compressed(path, **arrays)
         if name == "Torn":
             path.write_bytes(path.read_bytes()[:200])
-        with pytest.raises(MissingPostureError, match=rf"{name}\.npz.*settle build {name}"):
+        with pytest.raises(
+            MissingPostureError, match=rf"{name}\.npz.*agym-jax postures build {name}"
+        ):
             bank(name)
 
 

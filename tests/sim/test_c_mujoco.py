@@ -20,12 +20,12 @@ from test_parity import APPROACH, PRESS, WATCHED, one, press_goals
 import agym_jax
 from agym_jax.errors import ImplementationError
 from agym_jax.human import limits
+from agym_jax.policy import baseline_policy
 from agym_jax.sense import add_contacts, no_contacts, read_contacts
 from agym_jax.sim.c_mujoco import MOTION
 from agym_jax.sim.physics import choose_impl
 from agym_jax.wrappers import vectorize
 from train import enjoy
-from train.evaluation.agents import baseline_policy
 
 # One control step from the same state, float64 against MJX's float32, in contact (see test_parity).
 QPOS, OBS, REWARD, FORCE = 1e-5, 2e-4, 2e-3, 5e-4  # [rad], mixed, -, [N] or share of the force

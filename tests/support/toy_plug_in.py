@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from agym_jax.data import banks as placement
 from agym_jax.furniture import WHEELCHAIR
 from agym_jax.human.body import HEAD
 from agym_jax.observe import column, observation
@@ -150,4 +149,6 @@ register_robot(TOYBOT)
 register_task(WAVING)
 
 if __name__ == "__main__":
-    raise SystemExit(placement.main())
+    from agym_jax.offline.placements import main
+
+    raise SystemExit(main())

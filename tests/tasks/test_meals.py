@@ -20,7 +20,7 @@ from agym_jax.matter.particles.checks import MatterError, capacity
 from agym_jax.matter.particles.solver import Particles, ParticleSpec
 from agym_jax.matter.shapes import columns, rotation
 from agym_jax.offline import kinematics
-from agym_jax.offline.particle_fill import fill, load_fill
+from agym_jax.matter.particles.fill import fill, load_fill
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import build_scene
 from agym_jax.spec import Pose

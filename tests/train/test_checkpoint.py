@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from agym_jax.data.npz import check_writable, read_npz, write_npz
+from agym_jax.errors import DamagedFileError, SaveFolderError
 from train.configs import PPOConfig
 from train.errors import (
     CheckpointMismatchError,
     CheckpointWarning,
-    DamagedFileError,
-    SaveFolderError,
 )
 from train.learning.ppo import architecture, init_learner
 from train.runs.checkpoint import (

@@ -14,13 +14,13 @@ from fake_pair_env import FakePairEnv
 from products import full
 from train_runs import check_continued, check_restored, kill_in_training, listening, same_bytes
 
-from agym_jax.policy.policy import load_policy
+from agym_jax.policy import Pair, baseline_policy, load_policy
+from agym_jax.policy.agents import parts
+from agym_jax.policy.files import load_agent
 from train import coop, ppo
 from train.configs import CoopConfig, PPOConfig
-from train.envs import parts
 from train.errors import ActiveHumanError, CheckpointMismatchError, ConfigError
 from train.evaluate import Evaluator
-from train.evaluation.agents import Pair, baseline_policy
 from train.learning.agents import TwoLearners
 from train.learning.rollout import collect, critic_obs, init_rollout
 from train.runs.checkpoint import checkpoint_files
@@ -99,7 +99,7 @@ def test_the_folder_has_both_policies(trained):
     assert {n for n in names if n.endswith(".npz")} == {"policy.npz", "human_policy.npz"}
     obs = jax.random.normal(jax.random.PRNGKey(0), (5, 3))
     for agent, name in (("robot", "policy.npz"), ("human", "human_policy.npz")):
-        policy = load_policy(result.folder / name, env, agent=agent)
+        policy = load_agent(result.folder / name, env, agent)
         assert policy.info["agent"] == agent and policy.info["env_steps"] == result.env_steps
         seen = obs[:, : env.observation_sizes[agent]]
         assert np.array_equal(policy(seen), result.policies[agent](seen))
@@ -291,13 +291,13 @@ def test_a_robot_can_start_from_what_it_learned_with_a_person_who_holds_still(tm
 def test_someone_has_to_learn_and_a_frozen_agent_needs_a_policy():
     with pytest.raises(ConfigError, match=r"--freeze-human keeps .* needs --human-policy FILE"):
         CoopConfig(freeze_human=True)
-    with pytest.raises(ConfigError, match=r"leaves nobody to learn.*train\.evaluate"):
+    with pytest.raises(ConfigError, match=r"leaves nobody to learn.*agym-jax evaluate"):
         CoopConfig(robot_policy="r", human_policy="p", freeze_robot=True, freeze_human=True)
 
 
 def test_a_person_who_holds_still_is_refused():
     env = FakePairEnv(active=False)
-    text = r"holds still.*train\.ppo --env-name FakeCarry-v0.*'FakeCarryHuman-v0'"
+    text = r"holds still.*agym-jax train --env-name FakeCarry-v0.*'FakeCarryHuman-v0'"
     with pytest.raises(ActiveHumanError, match=text):
         coop.train(env, SMALL)
     assert env.traces["step"] == 0
@@ -320,7 +320,7 @@ def test_one_trainer_does_not_continue_a_run_of_the_other(trained, tmp_path):
 
 
 def test_ppo_sends_people_who_act_to_this_trainer():
-    with pytest.raises(ActiveHumanError, match=r"python -m train\.coop --env-name FakeCarryHuman"):
+    with pytest.raises(ActiveHumanError, match=r"agym-jax coop --env-name FakeCarryHuman"):
         ppo.train(FakePairEnv(), PPOConfig(save_dir=None))
 
 

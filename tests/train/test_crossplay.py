@@ -14,20 +14,15 @@ import pytest
 from fake_pair_env import FakePairEnv, RobotSees
 
 from agym_jax import observe
+from agym_jax.errors import PolicyEnvironmentError, PolicyLayoutError, PolicyNotFoundError
 from agym_jax.observe import column
-from agym_jax.policy.policy import load_policy, save_policy
+from agym_jax.policy import Pair, baseline_policy, load_policy, save_policy
+from agym_jax.policy.files import find_policies, load_agent, load_policies
 from train import crossplay, enjoy, evaluate
 from train.configs import CoopConfig, PPOConfig
 from train.crossplay import STILL
-from train.errors import (
-    ActiveHumanError,
-    ConfigError,
-    PolicyEnvironmentError,
-    PolicyLayoutError,
-    PolicyNotFoundError,
-)
+from train.errors import ActiveHumanError, ConfigError
 from train.evaluate import Evaluator
-from train.evaluation.agents import Pair, baseline_policy, find_policies, load_policies
 from train.learning.agents import TwoLearners
 from train.learning.algorithm import OneLearner
 from train.runs.folder import RunFolder
@@ -87,8 +82,8 @@ def returns_of(policy, env=None, seed=1001, episodes=6):
 
 def test_each_of_a_pair_is_asked_with_its_own_columns(runs):
     env = make(NAME)
-    robot = load_policy(runs.robot, env, agent="robot")
-    human = load_policy(runs.human, env, agent="human")
+    robot = load_agent(runs.robot, env, "robot")
+    human = load_agent(runs.human, env, "human")
     obs = jax.random.normal(jax.random.PRNGKey(0), (7, 5))
     both = Pair(robot, human, robot_columns=2)(obs)
     assert np.array_equal(both, jnp.concatenate([robot(obs[:, :2]), human(obs[:, 2:])], -1))
@@ -141,11 +136,11 @@ def test_the_columns_can_be_left_out(runs, capsys):
         ("--robots zero --no-still-human", ConfigError, "--humans FILE"),
         ("--robots nowhere.npz", PolicyNotFoundError, "nowhere.npz"),
         ("--runs nowhere", PolicyNotFoundError, "nowhere"),
-        ("--robots {person}", PolicyEnvironmentError, "moves the person"),
+        ("--robots {human}", PolicyEnvironmentError, "moves the person"),
         ("--robots zero --humans {robot}", PolicyEnvironmentError, "moves the robot"),
         ("--robots {joint}", PolicyEnvironmentError, "robot and person at once"),
         ("--robots {other}/policy.npz", PolicyEnvironmentError, "'FakePullHuman-v0'"),
-        ("--robots zero --humans {other}/person_policy.npz", PolicyEnvironmentError, "FakePull"),
+        ("--robots zero --humans {other}/human_policy.npz", PolicyEnvironmentError, "FakePull"),
     ],
 )
 def test_what_cannot_be_crossed_is_refused_by_name(runs, capsys, words, error, text):
@@ -212,7 +207,7 @@ def test_a_person_of_another_layout_or_version_is_refused(runs):
     later = SimpleNamespace(robot_obs=RobotSees, human_obs=LaterHumanSees)
     env = make(NAME, task=later)
     pair = (runs.robot, runs.human)
-    with pytest.raises(PolicyLayoutError, match=r"person_policy.npz reads .*agym_jax.*0\.1\.0"):
+    with pytest.raises(PolicyLayoutError, match=r"human_policy.npz reads .*agym_jax.*0\.1\.0"):
         loaded(NAME, None, *pair, env=env)
     env = make(NAME)
     env.name = "FakeCarryHuman-v1"

@@ -13,20 +13,21 @@ import pytest
 from fake_env import FakeEnv
 
 from agym_jax.data.assets import asset_root
-from agym_jax.observe import layout_version
-from agym_jax.policy.policy import Policy, find_policy, load_policy, save_policy
-from agym_jax.registry import parse
-from train import enjoy, evaluate
-from train.configs import PPOConfig
-from train.errors import (
-    ConfigError,
+from agym_jax.errors import (
     PolicyDamagedError,
     PolicyEnvironmentError,
     PolicyLayoutError,
     PolicyNotFoundError,
 )
+from agym_jax.observe import layout_version
+from agym_jax.policy import Policy, load_policy, save_policy
+from agym_jax.policy.agents import BASELINES, baseline_policy
+from agym_jax.policy.files import PolicyFiles, find_policy, load_agent, load_policies
+from agym_jax.registry import parse
+from train import enjoy, evaluate
+from train.configs import PPOConfig
+from train.errors import ConfigError
 from train.evaluate import Evaluator
-from train.evaluation.agents import BASELINES, PolicyFiles, baseline_policy, load_policies
 from train.evaluation.alone import evaluate_alone
 from train.evaluation.score import wilson_interval
 from train.learning.algorithm import policy_of
@@ -80,10 +81,12 @@ def test_a_missing_policy_lists_what_is_there(tmp_path, policy):
         load_policy(tmp_path / "raech.npz")
     save_policy(tmp_path / "FakeReach-v0" / "policy.npz", policy)
     assert find_policy("FakeReach-v0", tmp_path).is_file()
-    text = r"No policy for 'FakeReech-v0'.*Did you mean 'FakeReach-v0'.*python -m train.ppo"
+    text = r"No policy for 'FakeReech-v0'.*Did you mean 'FakeReach-v0'.*agym-jax train"
     with pytest.raises(PolicyNotFoundError, match=text):
         find_policy("FakeReech-v0", tmp_path)
-    with pytest.raises(PolicyNotFoundError, match=r"ships no policy for 'FakeReach-v0'.*train.ppo"):
+    with pytest.raises(
+        PolicyNotFoundError, match=r"ships no policy for 'FakeReach-v0'.*agym-jax train"
+    ):
         find_policy("FakeReach-v0")
 
 
@@ -129,7 +132,7 @@ def test_a_policy_of_another_environment_or_layout_is_refused(tmp_path, policy):
         PolicyEnvironmentError, match=r"trained in 'FakeReach-v0', not in 'FakePush-v0'"
     ):
         load_policy(path, other)
-    assert load_policy(path, other, any_env=True).arch == policy.arch
+    assert load_agent(path, other, "robot", any_env=True).arch == policy.arch
     with pytest.raises(PolicyLayoutError, match=r"layout 'fake-1'.*'fake-2'.*Train it again"):
         load_policy(path, FakeEnv(layout_version="fake-2"))
     with pytest.raises(

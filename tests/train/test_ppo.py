@@ -12,10 +12,10 @@ import pytest
 from fake_env import FakeEnv
 from train_runs import check_continued, check_restored, kill_in_training, listening
 
-from agym_jax.errors import BufferOverflowError
-from agym_jax.policy.policy import load_policy
+from agym_jax.errors import BufferOverflowError, SaveFolderError
+from agym_jax.policy import load_policy
 from train.configs import PPOConfig
-from train.errors import ActiveHumanError, CheckpointMismatchError, DivergedError, SaveFolderError
+from train.errors import ActiveHumanError, CheckpointMismatchError, DivergedError
 from train.evaluate import Evaluator
 from train.learning.algorithm import OneLearner
 from train.ppo import main, train

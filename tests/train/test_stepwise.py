@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from fake_env import FakeEnv
 
+from agym_jax.policy import baseline_policy
 from train.configs import PPOConfig
 from train.demo import main as demo
 from train.errors import ConfigError
 from train.evaluate import Evaluator
-from train.evaluation.agents import baseline_policy
 from train.learning.stepwise import StepwiseEnv, evaluate_stepwise
 from train.ppo import train
 
@@ -67,4 +67,4 @@ def test_another_batch_size_is_refused(stepwise):
 def test_demo_without_a_policy_says_how_to_train_one(tmp_path, capsys):
     status = demo(["--env-name", "FakeReach-v0", "--out", str(tmp_path)], lambda name, impl: None)
     assert status == 2
-    assert "python -m train.ppo --env-name FakeReach-v0" in capsys.readouterr().err
+    assert "agym-jax train --env-name FakeReach-v0" in capsys.readouterr().err

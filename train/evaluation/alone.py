@@ -13,8 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from agym_jax.policy.agents import AnyPolicy
+
 from ..envs import programs
-from .agents import AnyPolicy
 from .score import EvaluationResult, add_step, result_of, zero_sums
 
 

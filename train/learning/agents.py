@@ -17,11 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.types import UInt64
 
+from agym_jax.policy.agents import Part, parts
+from agym_jax.policy.check import check_policy
 from agym_jax.policy.networks import Architecture, make_networks, mode_action, sample_action
-from agym_jax.policy.policy import Policy, load_policy
+from agym_jax.policy.policy import Policy, read_policy
 
 from ..configs import CoopConfig
-from ..envs import Part, parts
 from ..runs.checkpoint import tree_to_arrays
 from .algorithm import policy_of, privileged_obs_size, shape_of
 from .ppo import LOSSES, LearnerState, architecture, batch_steps, init_learner, learn
@@ -103,8 +104,9 @@ def make_agent(config: CoopConfig, env: Any, name: str) -> Agent:
     part = parts(env)[name]
     arch = architecture(config, *part.sizes)
     path = getattr(config, f"{name}_policy")
-    start = None if path is None else load_policy(path, env, agent=name)
+    start = None if path is None else read_policy(path)
     if start is not None:
+        check_policy(start, env, path, agent=name)
         arch = replace(start.arch, value_hidden=arch.value_hidden)
     whole, size = range(env.observation_size), env.observation_size
     critic_columns = (

@@ -17,9 +17,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from agym_jax.policy.agents import AnyPolicy
+
 from ..configs import LearnConfig
 from ..errors import ConfigError
-from ..evaluation.agents import AnyPolicy
 from ..evaluation.score import EvaluationResult, add_step, result_of, zero_sums
 from .algorithm import Algorithm
 from .rollout import (

@@ -18,8 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..errors import CheckpointMismatchError, CheckpointWarning, DamagedFileError
 from agym_jax.data.npz import read_npz, write_npz
+from agym_jax.errors import DamagedFileError
+
+from ..errors import CheckpointMismatchError, CheckpointWarning
 
 FORMAT = 1
 KEEP = 3
@@ -123,7 +125,7 @@ def load_checkpoint(path: Path, template: Any, belongs: Mapping[str, Any]) -> Ch
     if theirs["trainer"] != trainer:
         raise CheckpointMismatchError(
             f"{path} is of a run of train.{theirs['trainer']}, this is train.{trainer}. Continue it "
-            f"with python -m train.{theirs['trainer']}, choose another --save-dir, or start over "
+            f"with agym-jax {theirs['trainer']}, choose another --save-dir, or start over "
             f"with --fresh (which moves the old run aside)."
         )
     differ = [

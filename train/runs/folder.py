@@ -9,10 +9,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..configs import LearnConfig
 from agym_jax.data.npz import check_writable, write_file
+from agym_jax.policy.files import FILE_NAMES
+from agym_jax.policy.policy import Policy, save_policy
+
+from ..configs import LearnConfig
 from .plots import plot_curve
-from agym_jax.policy.policy import FILE_NAMES, Policy, save_policy
 from .record import record
 
 

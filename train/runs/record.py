@@ -13,13 +13,20 @@ from typing import Any
 
 import jax
 
+import agym_jax
+
 ROOT = Path(__file__).resolve().parents[2]
-RESULTS = ROOT / "benchmarks" / "results"
+"""The checkout; in an installed wheel, where this is ``agym_jax.train``, the package's folder."""
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "brax", "flax", "optax")
 
 
 def commit() -> str | None:
-    """Git commit of this checkout, with ``+changes`` if files differ from it; None outside git."""
+    """Git commit of this checkout, with ``+changes`` if files differ from it; None outside of a checkout.
+
+    An installed wheel is in no checkout, even if its environment lies in a repository of the user's.
+    """
+    if not (ROOT / "pyproject.toml").is_file():
+        return None
     try:
         git = ["git", "-C", str(ROOT)]
         head = subprocess.run(
@@ -40,27 +47,13 @@ def commit() -> str | None:
 
 def versions() -> dict[str, str]:
     """Versions of Python, agym_jax and the packages that results depend on, where installed."""
-    found = {"python": platform.python_version(), "agym_jax": _agym_version()}
+    found = {"python": platform.python_version(), "agym_jax": agym_jax.__version__}
     for name in PACKAGES:
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
     return found
-
-
-def _agym_version() -> str:
-    try:
-        return importlib.metadata.version("agym_jax")
-    except importlib.metadata.PackageNotFoundError:
-        import tomllib
-
-        project = ROOT / "pyproject.toml"
-        return (
-            tomllib.loads(project.read_text())["project"]["version"]
-            if project.is_file()
-            else "unknown"
-        )
 
 
 def device() -> dict[str, Any]:
@@ -98,7 +91,7 @@ def append_record(path: Path | str, line: dict[str, Any]) -> None:
     """Add a result line to a file of JSON lines.
 
     Args:
-        path: file; those of the project lie in ``RESULTS``.
+        path: file.
         line: from ``record``.
     """
     path = Path(path)

@@ -20,20 +20,21 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-from agym_jax.errors import AgymError
-from ..learning.algorithm import Algorithm
-from ..configs import Config, LearnConfig, parse_arguments, resolve, updates_in
-from .curve import Row, check_row, make_row
-from ..envs import make_env, vectorize
-from ..learning.hosts import check_agreement, join_hosts, wait_for_hosts
-from .manager import CheckpointManager, Policies
 from agym_jax.data.npz import check_writable
+from agym_jax.errors import AgymError
+
+from ..configs import Config, LearnConfig, parse_arguments, resolve, updates_in
+from ..envs import make_env, vectorize
+from ..learning.algorithm import Algorithm
+from ..learning.hosts import check_agreement, join_hosts, wait_for_hosts
+from ..learning.rollout import RolloutState, init_rollout
+from ..learning.stepwise import StepwiseEnv, start_stepwise
+from ..learning.update import AXIS, device_mesh, make_updates, replicate, shard, shardings, to_host
+from .curve import Row, check_row, make_row
+from .folder import RunFolder
+from .manager import CheckpointManager, Policies
 from .progress import Progress, Silent, for_terminal
 from .result import TrainResult, summary
-from ..learning.rollout import RolloutState, init_rollout
-from .folder import RunFolder
-from ..learning.stepwise import StepwiseEnv, start_stepwise
-from ..learning.update import AXIS, device_mesh, replicate, to_host, make_updates, shardings, shard
 
 SAVE_PERIOD = 60.0  # seconds after which a checkpoint is due at the next log line
 UNIMPORTANT = ("save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts")
@@ -114,7 +115,9 @@ def run_session(
         while env_steps < total_steps and not interrupted:
             count = min(config.log_interval, math.ceil((total_steps - env_steps) / batch))
             began = time.perf_counter()
-            next_learner, rollout_state, totals = run(learner, rollout_state, np.int32(count), length)
+            next_learner, rollout_state, totals = run(
+                learner, rollout_state, np.int32(count), length
+            )
             totals = jax.device_get(totals)
             now = time.perf_counter()
             row = make_row(totals, count, count * batch, env.episode_length)
@@ -210,6 +213,7 @@ def command_line(
     train: Callable[[Any, Config, Progress], TrainResult],
     arguments: Sequence[str] | None,
     make: Callable[[str, str], Any] = make_env,
+    prog: str | None = None,
 ) -> int:
     """The command line of a trainer.
 
@@ -218,13 +222,14 @@ def command_line(
         train: the trainer: environment, settings and progress -> result.
         arguments: words; None for those of the program.
         make: id and physics -> environment.
+        prog: what was typed to start it, for the help.
 
     Returns:
         The exit status.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        config = parse_arguments(words, kind)
+        config = parse_arguments(words, kind, prog)
         signal.signal(signal.SIGTERM, _on_terminate)
         if config.save_dir is not None:  # before the environment is built, which takes seconds
             check_writable(Path(config.save_dir))

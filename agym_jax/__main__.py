@@ -1,0 +1,160 @@
+"""The command line: ``agym-jax COMMAND ...``, or the same with ``python -m agym_jax``.
+
+Each command is a function ``main(argv, prog=...)`` of a module that is imported when the command is
+given, so that the list of commands needs no JAX.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import ModuleType
+
+import agym_jax
+from agym_jax.errors import AgymError, MissingAssetError, UnknownNameError
+
+TRAINER = "agym_jax.train"
+
+
+COMMANDS = {
+    "list": ("", "print the environment ids"),
+    "observe": ("", "print the observations of an id, column by column"),
+    "demo": (f"{TRAINER}.demo", "see it work on a CPU, in a few minutes"),
+    "train": (f"{TRAINER}.ppo", "train a robot's policy with PPO"),
+    "coop": (f"{TRAINER}.coop", "train robot and person side by side"),
+    "evaluate": (f"{TRAINER}.evaluate", "measure a policy over many episodes"),
+    "enjoy": (f"{TRAINER}.enjoy", "watch a policy: a film, pictures, or MuJoCo's viewer"),
+    "crossplay": (f"{TRAINER}.crossplay", "measure every robot's policy with every person's"),
+    "placements": ("agym_jax.offline.placements", "build start placements of ids, or report on them"),
+    "postures": ("agym_jax.offline.bed_postures", "build postures of people in bed, or report on them"),
+    "particles": ("agym_jax.offline.particle_fill", "build the fillings of spoon and cup"),
+    "gown": ("agym_jax.offline.gown", "build the hospital gown"),
+    "arm-limits": ("agym_jax.offline.fit_limits", "fit the network of the arms' limits to samples"),
+}  # fmt: skip
+"""Name -> module with its ``main`` (none: it is here), and what it does."""
+ALIASES = {"ppo": "train"}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status.
+
+    Args:
+        argv: words; None for those of the program.
+    """
+    words = sys.argv[1:] if argv is None else list(argv)
+    prog = program_name(sys.argv[0])
+    name = words[0] if words else "--help"
+    if name in ("-h", "--help"):
+        print(usage(prog))
+        return 0 if words else 2
+    if name == "--version":
+        print(agym_jax.__version__)
+        return 0
+    try:
+        run = _find(ALIASES.get(name, name))
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    return run(words[1:], prog=f"{prog} {name}")
+
+
+def program_name(path: str) -> str:
+    """How the user calls the program whose file is ``sys.argv[0]``."""
+    name = Path(path).name
+    return "python -m agym_jax" if name == "__main__.py" else name.removesuffix(".exe")
+
+
+def usage(prog: str) -> str:
+    """All commands, one a line."""
+    width = max(map(len, COMMANDS))
+    lines = [f"usage: {prog} COMMAND ...", "", agym_jax.__doc__.splitlines()[0], "", "commands:"]
+    lines += [f"  {name:<{width}}  {does}" for name, (_, does) in COMMANDS.items()]
+    return "\n".join([*lines, "", f"{prog} COMMAND --help says more."])
+
+
+def _find(name: str) -> Callable[..., int]:
+    """The function of a command.
+
+    Raises:
+        UnknownNameError: there is no such command; the message has the nearest.
+        MissingExtraError: the trainer needs packages that are not installed.
+    """
+    if name not in COMMANDS:
+        raise UnknownNameError("command", name, COMMANDS)
+    module = COMMANDS[name][0]
+    if not module:
+        return {"list": list_ids, "observe": show_observations}[name]
+    from agym_jax.jax_settings import enable_compilation_cache
+
+    enable_compilation_cache()
+    if module.startswith(TRAINER):
+        trainer()
+    return importlib.import_module(module).main
+
+
+def trainer() -> ModuleType:
+    """The trainer as ``agym_jax.train``.
+
+    A wheel has it as a folder of the package. In a checkout it is the folder ``train`` beside the package, which
+    is loaded from there by its path: a ``train.py`` of the user's in the current folder is another module.
+
+    Raises:
+        MissingAssetError: it is not there.
+        MissingExtraError: it needs packages that are not installed.
+    """
+    if TRAINER in sys.modules or importlib.util.find_spec(TRAINER):
+        return importlib.import_module(TRAINER)
+    folder = Path(__file__).resolve().parent.parent / "train"
+    spec = importlib.util.spec_from_file_location(
+        TRAINER, folder / "__init__.py", submodule_search_locations=[str(folder)]
+    )
+    if spec is None or spec.loader is None or not (folder / "ppo.py").is_file():
+        raise MissingAssetError(
+            f"agym_jax is installed without its trainer (looked for {folder}). Reinstall it."
+        )
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[TRAINER] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[TRAINER]
+        raise
+    return module
+
+
+def list_ids(argv: Sequence[str] | None = None, prog: str = "agym-jax list") -> int:
+    """Print every environment id; returns the exit status."""
+    parser = argparse.ArgumentParser(prog=prog, description="Print the environment ids.")
+    parser.add_argument("part", nargs="?", default="", help="only those with this in their name")
+    part = parser.parse_args(argv).part
+    print("\n".join(name for name in agym_jax.list_envs() if part.lower() in name.lower()))
+    return 0
+
+
+def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax observe") -> int:
+    """Print an environment's observation tables; returns the exit status."""
+    parser = argparse.ArgumentParser(prog=prog, description="Print an environment's observations.")
+    parser.add_argument("id", help="environment id, such as ScratchItchJaco-v0")
+    name = parser.parse_args(argv).id
+    from agym_jax import observe
+    from agym_jax.registry import parse
+
+    try:
+        recipe = parse(name)
+    except AgymError as error:
+        print(error, file=sys.stderr)
+        return 1
+    records = {"Robot": recipe.task.robot_obs}
+    if recipe.active:
+        records["Human"] = recipe.task.human_obs
+    for title, record in records.items():
+        print(f"{title}: {observe.size(record)} columns\n\n{observe.table(record)}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,83 @@
+"""Whether a policy fits an environment: same task and robot, same agent, same observation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from agym_jax.errors import PolicyEnvironmentError, PolicyLayoutError
+from agym_jax.policy.agents import parts
+from agym_jax.policy.policy import Policy
+from agym_jax.registry import active_id, static_id
+
+MOVES = {"robot": "the robot", "human": "the person", "joint": "robot and person at once"}
+FLAGS = {
+    "robot": "--policy, and a --human-policy (a file, zero or random) where the person acts too",
+    "human": "--human-policy, and an id whose person acts (...Human-v0)",
+    "joint": "--policy alone, and the id it was trained in",
+}
+
+
+def train_command(env_name: str) -> str:
+    """The command that trains a policy for an environment."""
+    trainer = "train" if env_name == static_id(env_name) else "coop"
+    return f"agym-jax {trainer} --env-name {env_name}"
+
+
+def check_policy(
+    policy: Policy,
+    env: Any,
+    path: Path | str,
+    any_env: bool = False,
+    agent: str | None = None,
+) -> None:
+    """Make sure that a policy fits an environment.
+
+    Args:
+        policy: to check.
+        env: environment that it must fit.
+        path: of its file, for the error.
+        any_env: accept a policy of another environment whose observation layout and action size
+            agree.
+        agent: whom it shall move: "robot", "human", or "joint" for both; None = all who act.
+
+    Raises:
+        PolicyEnvironmentError: trained for another task, robot or agent (a robot's policy fits the
+            still and the active person of its pair).
+        PolicyLayoutError: reads another observation layout, or has other sizes.
+    """
+    agents = parts(env)
+    agent = agent or ("joint" if "joint" in agents else "robot")
+    part, whose = agents[agent], policy.info.get("agent", "robot")
+    trained_in = str(policy.info.get("env"))
+    if whose != agent:
+        raise PolicyEnvironmentError(
+            f"{path} moves {MOVES[whose]} of {trained_in!r}, not {MOVES[agent]} of {env.name!r}. "
+            f"It goes with {FLAGS[whose]}."
+        )
+    fitting = {
+        "robot": (static_id(env.name), active_id(env.name)),
+        "human": (active_id(env.name),),
+        "joint": (env.name,),
+    }[agent]
+    if trained_in not in fitting and not any_env:
+        raise PolicyEnvironmentError(
+            f"{path} was trained in {trained_in!r}, not in {env.name!r}. What fits was trained in "
+            f"{' or '.join(map(repr, fitting))}. Use --env-name {trained_in}, or train one: "
+            f"{train_command(env.name)}"
+        )
+    layout = policy.info.get("layout")
+    if layout not in (part.layout, part.former_layout):
+        raise PolicyLayoutError(
+            f"{path} reads observation layout {layout!r}, but {env.name!r} now has "
+            f"{part.layout!r}: the entries of the observation have changed since it was "
+            f"trained. Train it again, or use the version of agym_jax that it was made with "
+            f"({policy.info.get('versions', {}).get('agym_jax', 'unknown')})."
+        )
+    theirs = (policy.arch.observation_size, policy.arch.action_size)
+    ours = part.sizes
+    if theirs != ours:
+        raise PolicyLayoutError(
+            f"{path} takes {theirs[0]} observations and gives {theirs[1]} actions; {env.name!r} "
+            f"has {ours[0]} and {ours[1]}."
+        )

@@ -1,0 +1,177 @@
+"""Where policies are: shipped with the package, in the folder of a training run, or in a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agym_jax.data.assets import asset_path, asset_root
+from agym_jax.errors import (
+    MissingAssetError,
+    PolicyEnvironmentError,
+    PolicyNotFoundError,
+    did_you_mean,
+)
+from agym_jax.policy.agents import BASELINES, Baseline, Pair, baseline_policy, parts
+from agym_jax.policy.check import check_policy, train_command
+from agym_jax.policy.policy import Policy, not_found, read_policy, shipped
+from agym_jax.registry import active_id, static_id
+
+FILE_NAMES = {"robot": "policy.npz", "joint": "policy.npz", "human": "human_policy.npz"}
+"""Agent -> file of its policy in the folder of a run."""
+FORMER_FILE_NAMES = {"human": "person_policy.npz"}
+"""In folders of runs from before the agent was renamed."""
+
+
+def load_policy(source: Path | str, env: Any = None) -> Policy | Pair | Baseline:
+    """A policy by the id of an environment, or by its place; see ``agym_jax.load_policy``.
+
+    Args:
+        source: an id, whose shipped policy is meant; or a path: of a file (``.npz``), or of a folder of
+            a training run (``trained_models/ScratchItchJaco-v0``). A text is a path if it has a slash.
+        env: environment that it must fit; None skips that check.
+
+    Returns:
+        The policy of all who act: of robot and person where there is one of each.
+    """
+    text = str(source).removeprefix("agym_jax/")
+    if isinstance(source, Path) or "/" in text or "\\" in text or text.endswith(".npz"):
+        files = _files_at(Path(source))
+    else:
+        files = find_policies(text)
+    if env is not None:
+        return load_policies(files, env)
+    robot = read_policy(files.robot)
+    if files.human is None:
+        return robot
+    return Pair(robot, read_policy(files.human), robot.arch.observation_size)
+
+
+def _files_at(path: Path) -> PolicyFiles:
+    """The policies in a file or in the folder of a run."""
+    if not path.is_dir():
+        return PolicyFiles(str(path), None)
+    human = run_file(path, "human")
+    return PolicyFiles(str(run_file(path, "robot")), str(human) if human.is_file() else None)
+
+
+def run_file(folder: Path, agent: str) -> Path:
+    """The file of an agent's policy in the folder of a run; it may not be there."""
+    former = folder / FORMER_FILE_NAMES.get(agent, FILE_NAMES[agent])
+    path = folder / FILE_NAMES[agent]
+    return former if former.is_file() and not path.is_file() else path
+
+
+def find_policy(
+    env_name: str, load_dir: Path | str | None = None, policy: Path | str | None = None
+) -> Path:
+    """The policy file that the command-line tools mean.
+
+    Args:
+        env_name: environment id.
+        load_dir: ``--save-dir`` of a training run; its ``<env>/policy.npz`` is meant.
+        policy: a file, which goes before ``load_dir``.
+
+    Returns:
+        The file; without folder and file, the shipped policy of the environment.
+
+    Raises:
+        PolicyNotFoundError: there is none; lists what there is and how to train one.
+    """
+    train = f"Train one: {train_command(env_name)}"
+    if policy is not None:
+        if not Path(policy).is_file():
+            raise not_found(Path(policy))
+        return Path(policy)
+    if load_dir is not None:
+        path = run_file(Path(load_dir) / env_name, "robot")
+        if not path.is_file():
+            there = [p.parent.name for p in Path(load_dir).glob(f"*/{path.name}")]
+            raise PolicyNotFoundError(
+                f"No policy for {env_name!r} in {str(load_dir)!r} (looked for {path}). "
+                f"{did_you_mean(env_name, there)} {train} --save-dir {load_dir}"
+            )
+        return path
+    try:
+        return asset_path(f"policies/{env_name}.npz")
+    except MissingAssetError:
+        raise PolicyNotFoundError(
+            f"agym_jax ships no policy for {env_name!r}. {did_you_mean(env_name, shipped())} {train}"
+        ) from None
+
+
+@dataclass(frozen=True)
+class PolicyFiles:
+    """What the command line means: files or names of baselines; no person where none is named."""
+
+    robot: str
+    human: str | None
+
+
+def find_policies(
+    env_name: str,
+    load_dir: str | None = None,
+    policy: str | None = None,
+    human_policy: str | None = None,
+) -> PolicyFiles:
+    """The policies that the command-line tools mean, before anything is built.
+
+    Args:
+        env_name: environment id.
+        load_dir: ``--save-dir`` of a training run.
+        policy: of the robot (or of both at once): a file or a baseline, before ``load_dir``.
+        human_policy: of the person, the same.
+
+    Raises:
+        PolicyNotFoundError: there is no such file.
+        PolicyEnvironmentError: a person's policy where the person does not act.
+    """
+    plain = env_name.rpartition(":")[2]
+    acts = plain != static_id(plain)
+    if human_policy and not acts:
+        raise PolicyEnvironmentError(
+            f"In {plain!r} the person holds still and needs no --human-policy ({human_policy}). "
+            f"Leave it out, or use --env-name {active_id(plain)}."
+        )
+    robot = policy if policy in BASELINES else str(find_policy(plain, load_dir, policy))
+    human = human_policy
+    if human and human not in BASELINES:
+        human = str(find_policy(plain, None, human))
+    if human is None and acts and policy is None:
+        beside = asset_root() / "policies" / "human" / f"{plain}.npz"
+        if load_dir is not None:
+            beside = run_file(Path(load_dir) / plain, "human")
+        human = str(beside) if beside.is_file() else None
+    return PolicyFiles(str(robot), human)
+
+
+def load_agent(name: Path | str, env: Any, agent: str, any_env: bool = False) -> Policy | Baseline:
+    """The policy of one agent: a file that fits, or a baseline.
+
+    Args:
+        name: of a file, or "zero" or "random".
+        env: what it must fit.
+        agent: whom it moves: "robot", "human", or "joint" for both.
+        any_env: see ``check_policy``.
+
+    Raises:
+        PolicyNotFoundError: there is no such file.
+        PolicyDamagedError: the file is not whole.
+        PolicyEnvironmentError: of another task, robot or agent.
+        PolicyLayoutError: it reads another observation layout, or has other sizes.
+    """
+    if str(name) in BASELINES:
+        return baseline_policy(str(name), parts(env)[agent].sizes[1])
+    policy = read_policy(name)
+    check_policy(policy, env, name, any_env, agent)
+    return policy
+
+
+def load_policies(files: PolicyFiles, env: Any, any_env: bool = False) -> Policy | Baseline | Pair:
+    """The policies of all who act in an environment; for arguments and errors see ``load_agent``."""
+    if files.human is None:
+        return load_agent(files.robot, env, "joint" if "joint" in parts(env) else "robot", any_env)
+    robot = load_agent(files.robot, env, "robot", any_env)
+    human = load_agent(files.human, env, "human", any_env)
+    return Pair(robot, human, parts(env)["robot"].observed.stop)

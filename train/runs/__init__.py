@@ -1,0 +1,1 @@
+"""A run: its session, its folder with checkpoints and curve, and what is shown of it."""

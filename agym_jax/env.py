@@ -24,7 +24,7 @@ from jax import Array
 
 from agym_jax import observe
 from agym_jax.data.banks import load_bank
-from agym_jax.errors import ActionError
+from agym_jax.errors import ActionError, WrapperError
 from agym_jax.human import population
 from agym_jax.jax_settings import full_precision
 from agym_jax.rendering.raycast import Marker
@@ -124,6 +124,19 @@ class AssistiveEnv:
         return self
 
     @property
+    def sys(self) -> Any:
+        """Brax's name for a model that all environments share, which there is not.
+
+        Raises:
+            WrapperError: always; ``hasattr(env, "sys")`` is false.
+        """
+        raise WrapperError(
+            f"{self.name} has no sys: every human has a model of their own, in state.episode. Brax's "
+            f"DomainRandomizationVmapWrapper cannot change it; say whom to draw with agym_jax.make(name, "
+            f"humans=Population(...))."
+        )
+
+    @property
     def dt(self) -> float:
         """Length of a control step [s]."""
         return self.task.control.period
@@ -174,11 +187,13 @@ class AssistiveEnv:
         data, touch, motion = self.physics.step(state.data, state.episode, targets)
         # sense -> task -> observe
         judged = self._judge(data, touch, motion, state.task, state.episode, targets)
+        # where Brax's EpisodeWrapper counts, it sets the limit too; else it would take ours for a failure
+        done = judged.metrics["nan"] if "steps" in state.info else judged.done
         return state.replace(
             data=data,
             obs=judged.obs,
             reward=judged.reward,
-            done=judged.done,
+            done=done,
             metrics={**state.metrics, **judged.metrics},
             task=judged.task,
             episode=dataclasses.replace(state.episode, human_target=targets.hold, step=judged.step),

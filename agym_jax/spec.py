@@ -358,6 +358,19 @@ class Surfaced(Protocol):
 
 
 @runtime_checkable
+class Prepared(Protocol):
+    """What a task has besides if it makes something of its data before the first episode: a mesh of a file."""
+
+    def prepare(self) -> None:
+        """Make it, and refuse data that it cannot be made of; called whenever a scene is built.
+
+        Raises:
+            AgymError: says what is wrong where.
+        """
+        ...
+
+
+@runtime_checkable
 class Furnished(Protocol):
     """What a task has besides if some of its seat's props stand elsewhere in every episode."""
 

@@ -43,7 +43,11 @@ def _unpack(content: bytes) -> dict[str, np.ndarray]:
     if not zipfile.is_zipfile(io.BytesIO(content)):
         raise ValueError("it is no .npz file")
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+        arrays = {name: archive[name] for name in archive.files}
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray):  # NumPy hands out the bytes of what is no array
+            raise ValueError(f"{name} is no array")
+    return arrays
 
 
 # -- assets ------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import mujoco
 
 from agym_jax.errors import SpecError, UnknownNameError, did_you_mean
 from agym_jax.human import body, population
-from agym_jax.spec import Arm, PassiveMode, RobotSpec, SeatSpec, Task, ToolSpec
+from agym_jax.spec import Arm, PassiveMode, Prepared, RobotSpec, SeatSpec, Task, ToolSpec
 
 COLLISION = "collision"
 """What names of collision geoms contain: the search for start placements goes by it."""
@@ -20,11 +20,12 @@ ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE)
 
 
 def check_task(task: Task) -> None:
-    """The task's own names, and those of its person.
+    """The task's own names, those of its person, and what it makes of its data.
 
     Raises:
         UnknownNameError: there is no such joint, link, impairment or way to be still.
         SpecError: a field is empty, a text instead of a tuple, or of another length than it should be.
+        AgymError: what ``Prepared.prepare`` of the task raises.
     """
     human, owner = task.human, f"{task.name}'s PersonSpec"
     _check_tuple(f"{task.name}'s arms", task.arms)
@@ -46,6 +47,8 @@ def check_task(task: Task) -> None:
         f"{owner}.passive_mode", "way to be still", (human.passive_mode,), get_args(PassiveMode)
     )
     _check_names(f"{owner}.arm", "side", (human.arm,), ("left", "right"))
+    if isinstance(task, Prepared):
+        task.prepare()
 
 
 def check_robot(spec: mujoco.MjSpec, robot: RobotSpec, task: Task) -> None:

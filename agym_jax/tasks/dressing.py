@@ -161,19 +161,23 @@ class Dressing:
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 
-    def __post_init__(self) -> None:
-        """Refuse a garment that could not be worn or simulated.
+    def prepare(self) -> None:
+        """Load the garment and weave it, when a scene is built rather than when the task is imported.
 
         Raises:
-            GarmentError: with the edge, triangle or loop that is wrong.
+            GarmentError: it could not be worn or simulated; with the edge, triangle or loop that is wrong.
+            MissingAssetError: there is no such file.
         """
-        _ = self.spec
+        _ = self.spec, self.watched
 
     @cached_property
     def gown(self) -> Garment:
         """What is put on, hanging."""
         garment = load(self.garment)
-        return garment if garment.hanging is not None else settle(garment, self.fabric)
+        if garment.hanging is not None:
+            return garment
+        with jax.ensure_compile_time_eval():  # it is the same in every program that asks for it
+            return settle(garment, self.fabric)
 
     @cached_property
     def spec(self) -> ClothSpec:

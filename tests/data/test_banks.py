@@ -120,7 +120,7 @@ def test_a_file_that_was_cut_or_changed_is_damaged(own: Path):
     ("changes", "why"),
     [
         ({"base_quat": None}, "it has no base_quat"),
-        ({"base_pos": np.zeros((2, 2))}, r"base_pos has the shape \(2, 2\), not \(2, 3\)"),
+        ({"base_pos": np.zeros((2, 2))}, r"base_pos has the shape \(2, 2\), not \(rows, 3\)"),
         ({"arm_angles": np.zeros((3, 7))}, r"arm_angles has the shape \(3, 7\), not \(2, joints\)"),
         ({"arm_angles": np.zeros(7)}, r"arm_angles has the shape \(7,\)"),
         (

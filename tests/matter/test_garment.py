@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from cloth_scene import sheet
@@ -23,6 +24,9 @@ from agym_jax.matter.cloth.garment import (
 from agym_jax.matter.cloth.hang import settle
 from agym_jax.matter.cloth.topology import USUAL_EDGE, USUAL_SUBSTEPS, Fabric, build_cloth
 from agym_jax.offline.gown import Cut, cut
+from agym_jax.robots import ROBOTS
+from agym_jax.sim.scene import compose
+from agym_jax.sim.validate import check_task
 from agym_jax.tasks.dressing import Dressing
 
 SQUARE = Garment(  # 4 x 4 vertices, 2 cm apart
@@ -115,6 +119,35 @@ def test_somebodys_own_shirt(tmp_path: Path):
     task = Dressing(garment=str(write_obj(tmp_path, SQUARE)))
     assert task.spec.count == 16 and task.gown.hanging is not None
     assert abs(task.gown.hanging[:, 2].min() + 0.06) < 0.005  # it hangs by its upper edge
+
+
+def test_a_garment_is_woven_when_a_scene_is_built_not_before(tmp_path: Path):
+    """So a bad one is refused before anything is compiled, and importing the task weaves nothing."""
+    path = write_obj(tmp_path, SQUARE)
+    good = Dressing(garment=str(path))
+    assert not {"gown", "spec", "watched"} & set(vars(good))
+    check_task(good)
+    assert {"gown", "spec", "watched"} <= set(vars(good))
+    with pytest.raises(GarmentError, match="does not say cuff"):
+        compose(Dressing(garment=str(write_obj(tmp_path, SQUARE, cuff=None))), ROBOTS["Jaco"])
+    with pytest.raises(MissingAssetError):
+        compose(Dressing(garment=str(tmp_path / "yours.toml")), ROBOTS["Jaco"])
+
+
+def test_a_garment_that_first_appears_in_a_compiled_function_is_no_part_of_it(tmp_path: Path):
+    task = Dressing(garment=str(write_obj(tmp_path, SQUARE)))
+    mass = jax.jit(lambda x: x + task.spec.garment.mass)(0.0)  # weaves, and lets it hang
+    assert isinstance(task.gown.hanging, np.ndarray)
+    assert np.isclose(mass, task.gown.mass)
+
+
+def test_an_npz_that_is_no_garment_says_what_it_lacks(tmp_path: Path):
+    np.savez(tmp_path / "a.npz", vertices=SQUARE.vertices, triangles=SQUARE.triangles)
+    with pytest.raises(GarmentError, match=r"a\.npz is damaged: it has no cuff"):
+        load(str(tmp_path / "a.npz"))
+    (tmp_path / "b.npz").write_bytes(b"not a garment")
+    with pytest.raises(GarmentError, match=r"b\.npz is damaged: it is no \.npz file"):
+        load(str(tmp_path / "b.npz"))
 
 
 def test_npz_keeps_everything(tmp_path: Path):

@@ -131,9 +131,9 @@ class AssistiveEnv:
             WrapperError: always; ``hasattr(env, "sys")`` is false.
         """
         raise WrapperError(
-            f"{self.name} has no sys: every human has a model of their own, in state.episode. Brax's "
-            f"DomainRandomizationVmapWrapper cannot change it; say whom to draw with agym_jax.make(name, "
-            f"humans=Population(...))."
+            f"{self.name} has no sys: every human has a model of their own, in state.episode. Instead of Brax's "
+            f"DomainRandomizationVmapWrapper, use agym_jax.make(name, humans=Population(...)); instead of its "
+            f"GymWrapper and DmEnvWrapper, gymnasium.make(name)."
         )
 
     @property

@@ -1,5 +1,5 @@
 # ruff: noqa: D103 (a test's name says what it shows)
-"""Policies, their evaluation and replay."""
+"""Policies evaluated and replayed."""
 
 from __future__ import annotations
 
@@ -12,18 +12,7 @@ import numpy as np
 import pytest
 from fake_env import FakeEnv
 
-from agym_jax.data.assets import asset_root
-from agym_jax.errors import (
-    PolicyDamagedError,
-    PolicyEnvironmentError,
-    PolicyLayoutError,
-    PolicyNotFoundError,
-)
-from agym_jax.observe import layout_version
-from agym_jax.policy import Policy, load_policy, save_policy
-from agym_jax.policy.agents import BASELINES, baseline_policy
-from agym_jax.policy.files import PolicyFiles, find_policy, load_agent, load_policies
-from agym_jax.registry import parse
+from agym_jax.policy import Policy, baseline_policy, save_policy
 from train import enjoy, evaluate
 from train.configs import PPOConfig
 from train.errors import ConfigError
@@ -50,95 +39,6 @@ def make_policy(distribution="normal", seed=0, head_gain=1.0):
 def policy():
     """A policy."""
     return make_policy()
-
-
-@pytest.mark.parametrize("distribution", ["normal", "tanh_normal"])
-def test_a_policy_comes_back_and_acts_the_same(tmp_path, distribution):
-    policy = make_policy(distribution)
-    loaded = load_policy(save_policy(tmp_path / "new" / "p.npz", policy), FakeEnv())
-    obs = 3 * jax.random.normal(jax.random.PRNGKey(1), (7, 4))
-    assert np.array_equal(loaded(obs), policy(obs))
-    key = jax.random.PRNGKey(2)
-    sampled = loaded(obs, key, deterministic=False)
-    assert np.array_equal(sampled, policy(obs, key, deterministic=False))
-    assert not np.array_equal(sampled, loaded(obs))
-    assert sampled.shape == (7, 2) and np.abs(sampled).max() <= 1
-    assert loaded(obs[0]).shape == (2,)
-    assert loaded.info["env"] == "FakeReach-v0" and loaded.arch == policy.arch
-    with pytest.raises(ValueError, match="needs a key"):
-        loaded(obs, deterministic=False)
-
-
-def test_the_mode_of_a_gaussian_is_clipped_not_squashed():
-    policy = make_policy(head_gain=50.0)
-    obs = 3 * jax.random.normal(jax.random.PRNGKey(1), (50, 4))
-    assert np.abs(policy(obs)).max() == 1.0
-
-
-def test_a_missing_policy_lists_what_is_there(tmp_path, policy):
-    save_policy(tmp_path / "reach.npz", policy)
-    with pytest.raises(PolicyNotFoundError, match=r"raech.npz.*Did you mean 'reach.npz'.*Shipped"):
-        load_policy(tmp_path / "raech.npz")
-    save_policy(tmp_path / "FakeReach-v0" / "policy.npz", policy)
-    assert find_policy("FakeReach-v0", tmp_path).is_file()
-    text = r"No policy for 'FakeReech-v0'.*Did you mean 'FakeReach-v0'.*agym-jax train"
-    with pytest.raises(PolicyNotFoundError, match=text):
-        find_policy("FakeReech-v0", tmp_path)
-    with pytest.raises(
-        PolicyNotFoundError, match=r"ships no policy for 'FakeReach-v0'.*agym-jax train"
-    ):
-        find_policy("FakeReach-v0")
-
-
-def test_every_shipped_policy_loads_for_its_robot_of_today():
-    files = sorted((asset_root() / "policies").glob("*.npz"))
-    assert len(files) >= 16
-    for file in files:
-        recipe = parse(file.stem)
-        policy = load_policy(file)
-        assert policy.info.get("agent", "robot") == "robot" and policy.info["env"] == file.stem
-        assert policy.info["layout"] == layout_version(recipe.task.robot_obs)
-        action = policy(jnp.zeros(policy.arch.observation_size))
-        assert action.shape == (policy.arch.action_size,) and np.isfinite(action).all()
-
-
-def test_a_shipped_robot_goes_with_the_person_who_acts_too(static_env, active_env):
-    shipped = find_policy(static_env.name)
-    robot = load_policy(shipped, static_env)
-    pair = load_policies(PolicyFiles(str(shipped), "zero"), active_env)
-    obs = jnp.linspace(-1, 1, active_env.observation_size)
-    assert np.array_equal(pair(obs)[:7], robot(obs[:30])) and not pair(obs)[7:].any()
-
-
-def test_a_damaged_policy_is_refused(tmp_path, policy):
-    path = save_policy(tmp_path / "p.npz", policy)
-    path.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(PolicyDamagedError, match=r"p.npz is damaged.*again"):
-        load_policy(path)
-
-
-def test_a_checkpoint_is_not_a_policy(tmp_path):
-    from agym_jax.data.npz import write_npz
-
-    write_npz(tmp_path / "c.npz", {"params/x": np.zeros(2)}, {"format": 1})
-    with pytest.raises(PolicyDamagedError, match="is not a policy"):
-        load_policy(tmp_path / "c.npz")
-
-
-def test_a_policy_of_another_environment_or_layout_is_refused(tmp_path, policy):
-    path = save_policy(tmp_path / "p.npz", policy)
-    other = FakeEnv(name="FakePush-v0")
-    with pytest.raises(
-        PolicyEnvironmentError, match=r"trained in 'FakeReach-v0', not in 'FakePush-v0'"
-    ):
-        load_policy(path, other)
-    assert load_agent(path, other, "robot", any_env=True).arch == policy.arch
-    with pytest.raises(PolicyLayoutError, match=r"layout 'fake-1'.*'fake-2'.*Train it again"):
-        load_policy(path, FakeEnv(layout_version="fake-2"))
-    with pytest.raises(
-        PolicyLayoutError, match=r"4 observations and gives 2 actions.* has 4 and 3"
-    ):
-        load_policy(path, FakeEnv(action_sizes={"robot": 3}))
 
 
 @pytest.mark.parametrize(
@@ -237,11 +137,6 @@ def test_the_command_line_evaluates_and_records(tmp_path, capsys, policy):
     assert evaluate.main(["--env-name", "ReechingJaco-v0", "--load-dir", str(tmp_path)]) == 2
     text = capsys.readouterr().err  # of a wrong id, not of a policy that is missing for it
     assert "UnknownNameError" in text and "Did you mean 'ReachingJaco-v0'" in text
-
-
-def test_baselines_are_named():
-    assert BASELINES == ("zero", "random")
-    assert baseline_policy("zero", 3)(jnp.ones((4, 9))).shape == (4, 3)
 
 
 def test_enjoy_shows_an_episode(tmp_path, capsys):

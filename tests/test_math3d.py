@@ -1,5 +1,5 @@
 # ruff: noqa: D103
-"""Distances between capsules, against sampling and against C MuJoCo."""
+"""Quaternions and rotations against MuJoCo; distances between capsules against sampling and MuJoCo."""
 
 from __future__ import annotations
 
@@ -9,7 +9,19 @@ import mujoco
 import numpy as np
 import pytest
 
-from agym_jax.math3d import capsule_gap, segment_distance
+from agym_jax.math3d import (
+    axis_angle_matrix,
+    axis_angle_quat,
+    capsule_gap,
+    child_pose,
+    child_quat,
+    quat_mul,
+    rotate,
+    rotate_inverse,
+    rotation_error,
+    rotation_matrix,
+    segment_distance,
+)
 
 distance = jax.jit(segment_distance)
 
@@ -27,6 +39,62 @@ def brute(between: np.ndarray, u: np.ndarray, v: np.ndarray, n: int = 401) -> np
     s = np.linspace(-1.0, 1.0, n)
     a, b = s[:, None] * u, s[:, None] * v
     return np.linalg.norm(between + a[:, None] - b[None], axis=-1).min()
+
+
+def quats(n: int, seed: int) -> np.ndarray:
+    """Random unit quaternions (n, 4)."""
+    quat = np.random.default_rng(seed).normal(size=(n, 4))
+    return quat / np.linalg.norm(quat, axis=1, keepdims=True)
+
+
+def test_quaternion_product_and_matrix_equal_mujocos():
+    a, b = quats(50, 0), quats(50, 1)
+    product, matrix = np.zeros((50, 4)), np.zeros((50, 9))
+    for i in range(50):
+        mujoco.mju_mulQuat(product[i], a[i], b[i])
+        mujoco.mju_quat2Mat(matrix[i], a[i])
+    np.testing.assert_array_equal(quat_mul(a, b, np), product)
+    np.testing.assert_allclose(rotation_matrix(a, np), matrix.reshape(50, 3, 3), atol=1e-14)
+    np.testing.assert_allclose(quat_mul(jnp.asarray(a), jnp.asarray(b)), product, atol=1e-6)
+    np.testing.assert_allclose(rotation_matrix(jnp.asarray(a)), rotation_matrix(a, np), atol=1e-6)
+
+
+def test_rotation_takes_leading_axes_and_its_inverse_undoes_it():
+    quat = quats(12, 2).reshape(3, 4, 4)
+    vectors = np.random.default_rng(3).normal(size=(3, 4, 3))
+    turned = rotate(quat, vectors, np)
+    expected = np.einsum("abij,abj->abi", rotation_matrix(quat, np), vectors)
+    np.testing.assert_allclose(turned, expected, atol=1e-14)
+    np.testing.assert_allclose(rotate_inverse(quat, turned, np), vectors, atol=1e-14)
+
+
+def test_rotation_matrix_normalizes_only_where_asked():
+    quat = quats(1, 4)[0]
+    rot = rotation_matrix(jnp.asarray(3 * quat), normalize=True)
+    np.testing.assert_allclose(rot, rotation_matrix(quat, np), atol=1e-6)
+    assert np.abs(rotation_matrix(3 * quat, np) - rotation_matrix(quat, np)).max() > 1.0
+    entries = jax.grad(lambda q: rotation_matrix(q, normalize=True).sum())
+    assert np.isfinite(entries(jnp.zeros(4))).all()
+
+
+def test_axis_angle_forms_agree_and_rotation_error_recovers_the_angle():
+    axis, angle = np.array([2.0, -1.0, 2.0]) / 3, 1.2
+    rot = axis_angle_matrix(jnp.asarray(axis), jnp.float32(angle))
+    by_quat = rotation_matrix(axis_angle_quat(axis, np.array([angle, 0.0]), np), np)
+    np.testing.assert_allclose(rot, by_quat[0], atol=1e-6)
+    np.testing.assert_array_equal(by_quat[1], np.eye(3))
+    np.testing.assert_allclose(rotation_error(jnp.eye(3), rot), angle * axis, atol=1e-5)
+
+
+def test_child_pose_is_the_product_of_both_poses():
+    quat, local = quats(6, 5).astype(np.float32), quats(1, 6)[0].astype(np.float32)
+    pos = np.random.default_rng(7).normal(size=(6, 3)).astype(np.float32)
+    offset = (0.1, -0.2, 0.3)
+    child_pos, turned = child_pose(jnp.asarray(pos), jnp.asarray(quat), offset, local)
+    expected = pos + rotate(quat, np.array(offset), np)
+    np.testing.assert_allclose(child_pos, expected, atol=1e-6)
+    for found in (turned, child_quat(jnp.asarray(quat), local), child_quat(quat, local, np)):
+        np.testing.assert_allclose(found, quat_mul(quat, local, np), atol=1e-6)
 
 
 def test_segments_are_as_far_apart_as_sampling_says():

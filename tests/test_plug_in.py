@@ -27,7 +27,8 @@ from agym_jax.errors import (
     SpecError,
     UnknownNameError,
 )
-from agym_jax.offline import kinematics, placements
+from agym_jax.math3d import rotation_matrix
+from agym_jax.offline import placements
 from agym_jax.registry import parse, register_robot, register_task
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import build_scene, compose
@@ -209,7 +210,7 @@ def test_the_bank_puts_the_hand_where_the_task_starts(toy: ModuleType, bank: Pat
     for i in range(SIZE):
         data.qpos[index.robot_qpos] = rows.arm_angles[i]
         mujoco.mj_kinematics(scene.model, data)
-        turn = kinematics.rotation_matrix(rows.base_quat[i])
+        turn = rotation_matrix(rows.base_quat[i], np)
         where[i] = turn @ data.site_xpos[index.tools[0].tip] + rows.base_pos[i]
         approach = turn @ data.site_xmat[index.tools[0].tip].reshape(3, 3)[:, 2]
         np.testing.assert_allclose(approach, (1.0, 0.0, 0.0), atol=0.02)

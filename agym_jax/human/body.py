@@ -25,6 +25,7 @@ import numpy as np
 
 from agym_jax.errors import UnknownNameError
 from agym_jax.human.anthropometry import Dims
+from agym_jax.math3d import axis_angle_quat, quat_mul, rotate
 
 Array = Any
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -219,23 +220,6 @@ def joint_limits(names: tuple[str, ...], limit_scale: Array = 1.0, xp: Any = jnp
     return xp.where(scaled, limit_scale, 1.0) * np.deg2rad(degrees)
 
 
-def _quat_mul(a: Array, b: Array, xp: Any) -> Array:
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return xp.stack([
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    ])  # fmt: skip
-
-
-def _rotate(q: Array, v: Array, xp: Any) -> Array:
-    u = q[1:]
-    t = 2.0 * xp.cross(u, v)
-    return v + q[0] * t + xp.cross(u, t)
-
-
 class BodyFields(NamedTuple):
     """What differs between people in a MuJoCo model; rows follow LINKS (and the free joints).
 
@@ -304,8 +288,8 @@ def fields(
             pos, quat = _welded(link, pivots, angles, limit_scale, xp)
         if link.parent and not parent_in_model(link, free):
             parent_pos, parent_quat = world[link.parent]
-            pos = parent_pos + _rotate(parent_quat, pos, xp)
-            quat = _quat_mul(parent_quat, quat, xp)
+            pos = parent_pos + rotate(parent_quat, pos, xp)
+            quat = quat_mul(parent_quat, quat, xp)
         if not parent_in_model(link, free) and not is_free(link, free):
             world[link.name] = (pos, quat)
         s = shape(link.name, d)
@@ -330,15 +314,14 @@ def _welded(
     pos, quat = pivots[0], xp.asarray((1.0, 0.0, 0.0, 0.0))
     for i, joint in enumerate(link.joints):
         if i:
-            pos = pos + _rotate(quat, pivots[i], xp)
+            pos = pos + rotate(quat, pivots[i], xp)
         if joint.name in angles:
             limits = joint_limits((joint.name,), limit_scale, xp)[0]
-            half = xp.clip(angles[joint.name], limits[0], limits[1]) / 2
+            angle = xp.clip(angles[joint.name], limits[0], limits[1])
         else:  # 0, or the limit nearest to it, as for a shoulder
             limits = joint_limits((joint.name,), limit_scale, xp)[0]
             if joint.lower <= 0.0 <= joint.upper:
                 continue
-            half = xp.clip(0.0, limits[0], limits[1]) / 2
-        turn = xp.concatenate([xp.cos(half)[None], xp.sin(half) * np.array(joint.axis)])
-        quat = _quat_mul(quat, turn, xp)
+            angle = xp.clip(0.0, limits[0], limits[1])
+        quat = quat_mul(quat, axis_angle_quat(np.array(joint.axis), angle, xp), xp)
     return pos, quat

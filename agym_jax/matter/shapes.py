@@ -16,8 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-TINY = 1e-12
-"""Least squared length [m^2]."""
+from agym_jax.math3d import TINY, rotation_rows, unit_quat_parts
 
 Xyz = tuple[Array, Array, Array]
 """Coordinates x, y and z of vectors."""
@@ -83,7 +82,7 @@ def capsules_touching(points_w: Xyz, now: Ends, then: Ends, radius: Array) -> To
 
 def boxes_touching(points_w: Xyz, pos_w: Xyz, quat_w: Quat, half: Xyz) -> Touching:
     """Distances of points, each (n,), from k boxes, in columns: exact outside, from the nearest face inside."""
-    rot = [_upright(row) for row in rotation_rows(*quat_w)]
+    rot = [_upright(row) for row in rotation_rows(*unit_quat_parts(*quat_w))]
     local, half = turn_back(rot, sub(points_w, _upright(pos_w))), _upright(half)
     excess = each(lambda x, h: jnp.abs(x) - h, local, half)
     outside = each(lambda e: jnp.maximum(e, 0.0), excess)
@@ -117,22 +116,6 @@ def no_capsules() -> Capsules:
 def no_boxes() -> Boxes:
     """No furniture."""
     return Boxes(jnp.zeros((0, 3)), jnp.zeros((0, 4)), jnp.zeros((0, 3)))
-
-
-def rotation(quat: Array) -> Array:
-    """Rotation matrices (..., 3, 3) of quaternions wxyz (..., 4), which need not be normalised."""
-    return jnp.stack([jnp.stack(row, -1) for row in rotation_rows(*quat_columns(quat))], -2)
-
-
-def rotation_rows(w: Array, x: Array, y: Array, z: Array) -> tuple[Xyz, Xyz, Xyz]:
-    """Their rows, all entries (...), of the columns of quaternions (...)."""
-    size = jnp.sqrt(jnp.maximum(w * w + x * x + y * y + z * z, TINY))
-    w, x, y, z = w / size, x / size, y / size, z / size
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
 
 
 def columns(points: Array) -> Xyz:

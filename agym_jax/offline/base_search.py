@@ -25,6 +25,7 @@ from agym_jax.data.banks import Placement
 from agym_jax.errors import SpecError
 from agym_jax.human import body, population
 from agym_jax.human import pose as human_pose
+from agym_jax.math3d import axis_angle_quat, quat_mul, rotation_matrix
 from agym_jax.offline import kinematics
 from agym_jax.offline.clearance import Clearance
 from agym_jax.sim.scene import build_scene
@@ -102,7 +103,7 @@ def search(
     goals = _draw_goals(task, robot, len(chains), n, seed)
     rotations = [start_rotation(task, robot, i, scene) for i in range(len(chains))]
     quats = _base_quats(goals.base_yaw, fixed.quat if fixed else (1.0, 0.0, 0.0, 0.0))
-    rots = np.array([kinematics.rotation_matrix(q) for q in quats])
+    rots = rotation_matrix(quats, np)
     key = jax.random.PRNGKey(seed + 1)
 
     angles, scores, ok = [], np.zeros(n), np.ones(n, bool)
@@ -161,9 +162,9 @@ def start_rotation(task: Task, robot: RobotSpec, arm: int, scene) -> np.ndarray:
     its fingers opening sideways.
     """
     if task.name in robot.start_rotations:
-        return kinematics.rotation_matrix(np.array(robot.start_rotations[task.name]))
+        return rotation_matrix(np.array(robot.start_rotations[task.name]), np)
     model, spec = scene.model, scene.arms[arm]
-    rot = lambda name: kinematics.rotation_matrix(model.site(f"robot/{name}").quat)  # noqa: E731
+    rot = lambda name: rotation_matrix(model.site(f"robot/{name}").quat, np)  # noqa: E731
     tool_in_hand = rot(spec.end_effector).T @ rot(spec.tool_frame)
     forwards = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     return forwards @ tool_in_hand.T
@@ -240,7 +241,7 @@ def _points(task: Task, names: list[str], count: int, seed: int) -> dict[str, np
             point = np.array(rows.body_pos[row])
             if name == "mouth":
                 local = np.array([0.0, human.dims.mouth_y, human.dims.mouth_z])
-                point = point + kinematics.rotation_matrix(rows.body_quat[row]) @ local
+                point = point + rotation_matrix(rows.body_quat[row], np) @ local
             found[name].append(point)
     return {name: np.array(rows) for name, rows in found.items()}
 
@@ -349,11 +350,8 @@ def _solver(key: int, chain: kinematics.Chain) -> Any:
 
 def _base_quats(yaw: np.ndarray, quat: tuple[float, ...]) -> np.ndarray:
     """Quaternions wxyz (N, 4) of a base turned about the vertical."""
-    out = np.zeros((len(yaw), 4))
-    for row, angle in zip(out, yaw, strict=True):
-        turn = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
-        mujoco.mju_mulQuat(row, turn, np.array(quat))
-    return out
+    about_z = axis_angle_quat(np.array([0.0, 0.0, 1.0]), yaw, np)
+    return quat_mul(about_z, np.array(quat), np)
 
 
 def _free_rows(

@@ -15,6 +15,7 @@ import numpy as np
 from jax import Array
 
 from agym_jax.errors import SpecError
+from agym_jax.math3d import axis_angle_matrix, rotation_error, rotation_matrix
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def chain_of(model: mujoco.MjModel, joints: np.ndarray, site: int, base: int) ->
     wanted = [int(j) for j in joints]
     for b in reversed(path):
         pos = pos + rot @ model.body_pos[b]
-        rot = rot @ rotation_matrix(model.body_quat[b])
+        rot = rot @ rotation_matrix(model.body_quat[b], np)
         for j in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]):
             if j not in wanted:
                 continue
@@ -79,7 +80,7 @@ def chain_of(model: mujoco.MjModel, joints: np.ndarray, site: int, base: int) ->
     if len(rows["pos"]) != len(wanted):
         raise SpecError(f"{len(wanted) - len(rows['pos'])} joints are not between base and site.")
     tip_pos = pos + rot @ model.site_pos[site]
-    tip_rot = rot @ rotation_matrix(model.site_quat[site])
+    tip_rot = rot @ rotation_matrix(model.site_quat[site], np)
     limits = model.jnt_range[wanted]
     joint_pos, joint_rot, axis = (np.array(rows[k], np.float32) for k in ("pos", "rot", "axis"))
     return Chain(
@@ -87,21 +88,6 @@ def chain_of(model: mujoco.MjModel, joints: np.ndarray, site: int, base: int) ->
         tip_pos.astype(np.float32), tip_rot.astype(np.float32),
         limits[:, 0].astype(np.float32), limits[:, 1].astype(np.float32),
     )  # fmt: skip
-
-
-def rotation_matrix(quat: np.ndarray) -> np.ndarray:
-    """Rotation matrix (3, 3) of a quaternion wxyz (4,)."""
-    out = np.zeros(9)
-    mujoco.mju_quat2Mat(out, np.asarray(quat, float))
-    return out.reshape(3, 3)
-
-
-def rotate_about(axis: Array, angle: Array) -> Array:
-    """Rotation matrix (3, 3) about a unit axis (3,) by an angle [rad] ()."""
-    x, y, z = axis
-    zero = jnp.zeros_like(x)
-    k = jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
-    return jnp.eye(3) + jnp.sin(angle) * k + (1.0 - jnp.cos(angle)) * (k @ k)
 
 
 def forward(chain: Chain, angles: Array) -> tuple[Array, Array, Array]:
@@ -121,20 +107,11 @@ def forward(chain: Chain, angles: Array) -> tuple[Array, Array, Array]:
         rot = rot @ chain.rot[i]
         anchors.append(pos)
         axes.append(rot @ chain.axis[i])
-        rot = rot @ rotate_about(jnp.asarray(chain.axis[i]), angles[i])
+        rot = rot @ axis_angle_matrix(jnp.asarray(chain.axis[i]), angles[i])
     tip, tip_rot = pos + rot @ chain.tip_pos, rot @ chain.tip_rot
     axis = jnp.stack(axes)
     linear = jnp.cross(axis, tip - jnp.stack(anchors))
     return tip, tip_rot, jnp.concatenate([linear.T, axis.T])
-
-
-def rotation_error(rot: Array, goal: Array) -> Array:
-    """Rotation vector [rad] (3,) that turns ``rot`` into ``goal``, both (3, 3), in their parent frame."""
-    m = goal @ rot.T
-    skew = jnp.stack([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]) / 2
-    sin = jnp.linalg.norm(skew + 1e-12)
-    angle = jnp.arctan2(sin, (jnp.trace(m) - 1) / 2)
-    return skew / sin * angle
 
 
 def inverse(

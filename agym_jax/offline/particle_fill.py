@@ -24,9 +24,10 @@ from jax import Array
 
 from agym_jax.data.npz import write_arrays
 from agym_jax.errors import AgymError, UnknownNameError
+from agym_jax.math3d import rotation_matrix
 from agym_jax.matter.particles.fill import CONTENTS, DOWN, FillBank, fill_path
 from agym_jax.matter.particles.solver import Obstacles, Particles, ParticleSpec, advance
-from agym_jax.matter.shapes import no_boxes, no_capsules, rotation
+from agym_jax.matter.shapes import no_boxes, no_capsules
 
 SLICK = 0.02  # friction while they fall: they find low places
 FALL_TIME, TURN_TIME, REST_TIME = 2.0, 1.0, 2.0  # [s]
@@ -146,7 +147,7 @@ def build(name: str, seed: int = 0, rows: int = 64) -> tuple[FillBank, dict[str,
         fall_on = turning(upright, 0, fall), turning(quat, turn, 0), held(quat, rest)
         for some, motion in zip((replace(fine, friction=SLICK), fine, spec), fall_on, strict=True):
             particles, _ = advance(some, particles, motion, how.dt)
-        return particles.pos_w @ rotation(quat), particles.vel_w
+        return particles.pos_w @ rotation_matrix(quat, normalize=True), particles.vel_w
 
     out = settle(jnp.asarray(cell + shift, jnp.float32), jnp.asarray(quat_w, jnp.float32))
     pos, vel = (np.asarray(x) for x in out)

@@ -22,8 +22,9 @@ from jax import Array
 
 from agym_jax.furniture import BED
 from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
+from agym_jax.math3d import rotate_inverse
 from agym_jax.observe import column, observation, part
-from agym_jax.preferences import preference_terms
+from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
@@ -125,6 +126,12 @@ class BedBathing:
         passive_mode="welded",
     )  # fmt: skip
     episode_length: int = 200
+    reward_terms: tuple[str, ...] = (
+        "distance",
+        "action",
+        "wiping",
+        *PREFERENCE_TERMS,
+    )
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 
@@ -158,7 +165,7 @@ class BedBathing:
         tool = sensed.tool
         points = _in_world(state.points_limb, sensed)
         force = tool.touch_force * tool.touch_working
-        local = _unrotate(tool.quat_w, points - tool.pos_w)  # from the middle of the face
+        local = rotate_inverse(tool.quat_w, points - tool.pos_w)  # from the middle of the face
         half = jnp.array([*self.config.pad, 0.0]) / 2
         apart = jnp.linalg.norm(local - jnp.clip(local, -half, half), axis=-1)
         wiped = state.dirty * ((apart < self.config.reach) & jnp.any(force > 0))
@@ -229,13 +236,6 @@ def _in_world(points: Array, sensed: Sensed) -> Array:
     return jnp.stack([
         sensed.link_pos_w[x] + points[i] @ sensed.link_rot_w[x].T for i, x in enumerate(limbs)
     ])  # fmt: skip
-
-
-def _unrotate(quat: Array, vectors: Array) -> Array:
-    """Vectors (..., 3) of the environment in the frame whose orientation is ``quat`` wxyz."""
-    w, u = quat[0], -quat[1:]
-    t = 2.0 * jnp.cross(u, vectors)
-    return vectors + w * t + jnp.cross(u, t)
 
 
 BED_BATHING = BedBathing()

@@ -23,11 +23,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from agym_jax.furniture import WHEELCHAIR_UP_CLOSE
+from agym_jax.math3d import child_pose, rotation_matrix
 from agym_jax.matter.particles.checks import check
-from agym_jax.matter.particles.solver import WATER, Contact, Particles, ParticleSpec, advance
-from agym_jax.matter.shapes import no_boxes, rotation
 from agym_jax.matter.particles.fill import fill, load_fill
-from agym_jax.preferences import meal_terms, preference_terms
+from agym_jax.matter.particles.solver import WATER, Contact, Particles, ParticleSpec, advance
+from agym_jax.matter.shapes import no_boxes
+from agym_jax.preferences import MEAL_TERMS, PREFERENCE_TERMS, meal_terms, preference_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared import meals
@@ -97,6 +98,14 @@ class Drinking:
     seat: SeatSpec = WHEELCHAIR_UP_CLOSE
     human: HumanSpec = meals.diner(rate=0.0005 / 0.004, max_torque=1.0)
     episode_length: int = 200
+    reward_terms: tuple[str, ...] = (
+        "distance",
+        "action",
+        "tilt",
+        "water",
+        *PREFERENCE_TERMS,
+        *MEAL_TERMS,
+    )
     robot_obs: type = meals.RobotObs
     human_obs: type = meals.HumanObs
 
@@ -116,8 +125,9 @@ class Drinking:
     def init(self, key: Array, sensed: Sensed) -> DrinkState:
         """A cup of water, as it has settled for this tilt."""
         tool = sensed.tool
+        inside = child_pose(tool.pos_w, tool.quat_w, INSIDE.pos, INSIDE.quat)
         return DrinkState(
-            water=fill(load_fill("cup"), *meals.attach(tool.pos_w, tool.quat_w, INSIDE)),
+            water=fill(load_fill("cup"), *inside),
             drunk=jnp.float32(0.0),
             lost=jnp.int32(0),
             side=side_of(tool.quat_w, sensed.mouth_pos_w - tool.pos_w),
@@ -193,7 +203,7 @@ class Drinking:
 
 def axis(cup_quat_w: Array) -> Array:
     """Where the cup opens to: its y axis in the world (3,)."""
-    return rotation(cup_quat_w)[:, 1]
+    return rotation_matrix(cup_quat_w, normalize=True)[:, 1]
 
 
 def side_of(cup_quat_w: Array, to_mouth_w: Array) -> Array:
@@ -203,7 +213,9 @@ def side_of(cup_quat_w: Array, to_mouth_w: Array) -> Array:
         cup_quat_w: wxyz (4,).
         to_mouth_w: from the cup to the mouth (3,).
     """
-    return jnp.where(jnp.dot(rotation(cup_quat_w)[:, 2], to_mouth_w) > 0, -1.0, 1.0)
+    return jnp.where(
+        jnp.dot(rotation_matrix(cup_quat_w, normalize=True)[:, 2], to_mouth_w) > 0, -1.0, 1.0
+    )
 
 
 def tipped(cup_quat_w: Array, side: Array) -> Array:
@@ -213,7 +225,9 @@ def tipped(cup_quat_w: Array, side: Array) -> Array:
         cup_quat_w: wxyz (4,).
         side: see ``side_of`` ().
     """
-    _, up, across = rotation(cup_quat_w)[2]  # how far each axis points upwards
+    _, up, across = rotation_matrix(cup_quat_w, normalize=True)[
+        2
+    ]  # how far each axis points upwards
     return jnp.arctan2(side * across, up)
 
 

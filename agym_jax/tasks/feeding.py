@@ -19,12 +19,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from agym_jax.furniture import BOWL, TABLE, WHEELCHAIR_AT_TABLE
+from agym_jax.math3d import child_pose
 from agym_jax.matter.particles.checks import check
 from agym_jax.matter.particles.containers import SPOON_ORIGIN_IN_AG
+from agym_jax.matter.particles.fill import fill, load_fill
 from agym_jax.matter.particles.solver import FOOD, Contact, Particles, ParticleSpec, advance
 from agym_jax.matter.shapes import Boxes
-from agym_jax.matter.particles.fill import fill, load_fill
-from agym_jax.preferences import meal_terms, preference_terms
+from agym_jax.preferences import MEAL_TERMS, PREFERENCE_TERMS, meal_terms, preference_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared import meals
@@ -101,6 +102,13 @@ class Feeding:
     seat: SeatSpec = WHEELCHAIR_AT_TABLE
     human: HumanSpec = meals.diner(rate=0.0005 / 0.002, max_torque=5.0)
     episode_length: int = 200
+    reward_terms: tuple[str, ...] = (
+        "distance",
+        "action",
+        "food",
+        *PREFERENCE_TERMS,
+        *MEAL_TERMS,
+    )
     robot_obs: type = meals.RobotObs
     human_obs: type = meals.HumanObs
 
@@ -121,7 +129,7 @@ class Feeding:
     def init(self, key: Array, sensed: Sensed) -> FeedState:
         """A full spoon, as it has settled for this tilt, and a bowl somewhere near its place."""
         tool = sensed.tool
-        dish = meals.attach(tool.pos_w, tool.quat_w, DISH)
+        dish = child_pose(tool.pos_w, tool.quat_w, DISH.pos, DISH.quat)
         return FeedState(
             food=fill(load_fill("spoon"), *dish),
             has_hit=jnp.zeros(self.food.count, bool),

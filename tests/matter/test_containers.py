@@ -15,10 +15,11 @@ import pytest
 
 from agym_jax.data.npz import provenance_of, read_arrays
 from agym_jax.errors import MissingFillError, UnknownNameError
+from agym_jax.math3d import rotation_matrix
 from agym_jax.matter.particles import fill as fills
 from agym_jax.matter.particles.fill import fill, fill_path, load_fill
 from agym_jax.matter.particles.solver import FOOD, WATER, Contact, Obstacles, Particles, advance
-from agym_jax.matter.shapes import columns, no_boxes, no_capsules, rotation
+from agym_jax.matter.shapes import columns, no_boxes, no_capsules
 from agym_jax.offline import particle_fill as settle
 
 NUM_ENVS, PERIOD = 4, 0.1
@@ -91,7 +92,7 @@ def play(
 
 
 def in_vessel(state: Particles, pos: np.ndarray, quat: np.ndarray) -> np.ndarray:
-    rot = np.asarray(rotation(jnp.asarray(quat, jnp.float32)))
+    rot = np.asarray(rotation_matrix(jnp.asarray(quat, jnp.float32), normalize=True))
     return np.einsum("wji,wnj->wni", rot, np.asarray(state.pos_w) - pos[:, None])
 
 
@@ -221,7 +222,10 @@ def test_shaken_harder_than_any_arm_can_no_water_passes_the_wall() -> None:
     swing, sway = 30.0 / 25 * np.sin(25 * t), 0.08 * np.sin(25 * t + 1)
     pos = np.stack([sway, 0.5 * sway, 1 + 0.5 * sway[::-1]], -1)
     quat = about((0.8, 0.6, 0), swing)
-    turns, places = rotation(jnp.asarray(quat, jnp.float32)), jnp.asarray(pos, jnp.float32)
+    turns, places = (
+        rotation_matrix(jnp.asarray(quat, jnp.float32), normalize=True),
+        jnp.asarray(pos, jnp.float32),
+    )
 
     @jax.jit
     def shake(state: Particles) -> jax.Array:
@@ -289,7 +293,7 @@ def test_fill_takes_the_nearest_tilt() -> None:
     for row in (0, 17, 63):
         quat = settle.tilted(bank.gravity_dir[row].astype(float))
         state = fill(bank, jnp.array([1.0, 2.0, 3.0]), jnp.asarray(quat, jnp.float32))
-        rot = np.asarray(rotation(jnp.asarray(quat)))
+        rot = np.asarray(rotation_matrix(jnp.asarray(quat), normalize=True))
         np.testing.assert_allclose(rot @ bank.gravity_dir[row], [0, 0, -1], atol=1e-5)
         np.testing.assert_allclose(state.pos_w, [1, 2, 3] + bank.pos[row] @ rot.T, atol=1e-5)
         assert np.all(state.alive) and not np.any(state.vel_w)

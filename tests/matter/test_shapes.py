@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from agym_jax.math3d import rotation_matrix
 from agym_jax.matter.particles.checks import MatterError, capacity, check, speed_limit
 from agym_jax.matter.particles.containers import AG_TO_VESSEL, CUP, SPOON, Bowl, Cup, Vessel
 from agym_jax.matter.particles.solver import FOOD, WATER, ParticleSpec
@@ -23,7 +24,6 @@ from agym_jax.matter.shapes import (
     floor_touching,
     no_boxes,
     no_capsules,
-    rotation,
 )
 
 RNG = np.random.default_rng(0)
@@ -153,7 +153,7 @@ def test_sizes_are_those_of_assistive_gyms_tools() -> None:
     assert SPOON.curvature == pytest.approx(0.020, abs=1.5e-3)
     assert 0.008 <= SPOON.rim_depth <= 0.0117
     assert SPOON.brim[0] + SPOON.thickness / 2 == pytest.approx(0.018, abs=2.5e-3)
-    up = np.asarray(rotation(jnp.asarray(AG_TO_VESSEL))) @ [0, 1, 0]
+    up = np.asarray(rotation_matrix(jnp.asarray(AG_TO_VESSEL), normalize=True)) @ [0, 1, 0]
     np.testing.assert_allclose(up, [0, 0, 1], atol=1e-6)
 
 
@@ -187,7 +187,7 @@ def test_a_turning_capsule_moves_where_it_is_touched() -> None:
 def test_boxes() -> None:
     quat = np.array([0.8, 0.0, 0.6, 0.0])
     rot, pos, half = (
-        np.asarray(rotation(jnp.asarray(quat))),
+        np.asarray(rotation_matrix(jnp.asarray(quat), normalize=True)),
         np.array([0.1, 0, 0.5]),
         np.array([0.2, 0.1, 0.05]),
     )

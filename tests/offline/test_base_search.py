@@ -18,10 +18,10 @@ import pytest
 from agym_jax.data.banks import Placement, load_bank
 from agym_jax.errors import MissingPlacementError, SpecError
 from agym_jax.human import pose as human_pose
+from agym_jax.math3d import rotation_matrix
 from agym_jax.offline import placements
 from agym_jax.offline.base_search import REACHED, REACHED_ROTATION, search
 from agym_jax.offline.clearance import Clearance
-from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
 from agym_jax.spec import BaseSearch, RobotSpec, Task
@@ -105,7 +105,7 @@ def stage(task: Task, robot: RobotSpec) -> Stage:
 
 def turned_by(rot: np.ndarray, quat: Any) -> float:
     """Angle from a rotation matrix to a quaternion wxyz [rad]."""
-    m = rotation_matrix(np.array(quat)).T @ rot
+    m = rotation_matrix(np.array(quat), np).T @ rot
     skew = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]) / 2
     return float(np.arctan2(np.linalg.norm(skew), (np.trace(m) - 1) / 2))
 

@@ -19,8 +19,9 @@ from conftest import BATCH, CompiledBatch, Rollout, compiled_human
 from agym_jax.human.body import RIGHT_ARM_LINKS
 from agym_jax.human.population import Population, sample_human
 from agym_jax.human.pose import sample_pose
+from agym_jax.math3d import rotation_matrix
 from agym_jax.offline import kinematics
-from agym_jax.sense import add_contacts, at_rest, no_contacts, sense
+from agym_jax.sim.sensing import add_contacts, motion_at_rest, no_contacts, sense
 from agym_jax.sim.episode import human_rows
 from agym_jax.state import Episode, Placement
 
@@ -128,8 +129,8 @@ def press_goals(batch: CompiledBatch, state: Any) -> np.ndarray:
     point = np.where(on_forearm, 0.5 * elbow + 0.5 * hand, 0.6 * elbow + 0.4 * shoulder)
     away = point - tip
     point = point + 0.04 * away / np.linalg.norm(away, axis=-1, keepdims=True)
-    goals = (point - model.body_pos[index.robot_base]) @ kinematics.rotation_matrix(
-        model.body_quat[index.robot_base]
+    goals = (point - model.body_pos[index.robot_base]) @ rotation_matrix(
+        model.body_quat[index.robot_base], np
     )
 
     def solve(q: jax.Array, goal: jax.Array) -> tuple:
@@ -228,7 +229,7 @@ def test_sense_reads_c_mujocos_data_as_it_reads_mjxs(batch: CompiledBatch):
     data = world.data.replace(qvel=jnp.full_like(world.data.qvel, 0.1))
     sizes = shadow.model.geom_size
     mine, theirs = (
-        sense(index, d, no_contacts(index), at_rest(index, d, 1), dims, sizes)
+        sense(index, d, no_contacts(index), motion_at_rest(index, d, 1), dims, sizes)
         for d in (data, shadow.data)
     )
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), mine, theirs)

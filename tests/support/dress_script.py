@@ -23,6 +23,7 @@ from meal_script import SPARE, Script, Z, _chain, _turn_of
 from scipy.spatial.transform import Rotation
 
 import agym_jax
+from agym_jax.math3d import rotation_error
 from agym_jax.matter.cloth.sleeve import crossed
 from agym_jax.offline import kinematics
 from agym_jax.tasks.dressing import ARM_LINKS
@@ -141,7 +142,7 @@ def _follower(env: Any) -> Any:
     ) -> tuple:
         def nearer(q: jax.Array, pos: jax.Array, turned: jax.Array) -> jax.Array:
             tip, rot, j = kinematics.forward(chain, q)
-            e = jnp.concatenate([pos - tip, level * kinematics.rotation_error(rot, turned)])
+            e = jnp.concatenate([pos - tip, level * rotation_error(rot, turned)])
             j = j.at[3:].multiply(level)
             room = jnp.minimum(q - chain.lower, chain.upper - q)
             weighted = j * jnp.clip(room / 0.3, 0.05, 1.0)  # joints near a limit move less

@@ -10,14 +10,14 @@ import numpy as np
 
 from agym_jax.human import anthropometry
 from agym_jax.human.body import LINKS
+from agym_jax.math3d import rotation_matrix
 from agym_jax.matter.particles.solver import Contact, Particles
-from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.sense import Motion, Sensed, ToolSensed
 
 HEAD, CHEST = np.array([0.0, 0.03, 1.1785]), np.array([0.0, 0.03, 0.89])  # humans.md section 5
 TORSO = np.array([-1.0, 0.0, 1.0])
 TURN = np.array([0.9, 0.1, -0.3, 0.3]) / np.linalg.norm([0.9, 0.1, -0.3, 0.3])  # of the head, wxyz
-MOUTH = HEAD + rotation_matrix(TURN) @ [0.0, -0.11, 0.03]  # of a man, humans.md section 4
+MOUTH = HEAD + rotation_matrix(TURN, np) @ [0.0, -0.11, 0.03]  # of a man, humans.md section 4
 FAR = np.array([0.5, 0.6, 0.7])  # from where nothing of this is near [m]
 AIR = {
     "pos_w": np.array([-0.1, -0.5, 1.1]), "quat_w": np.array([1.0, 0, 0, 0]), "vel_w": np.zeros(3),
@@ -52,7 +52,7 @@ def sensed(
     held = AIR | (tool or {})
     pos = {x.name: limbs_at for x in LINKS} | {"head": head, "chest": CHEST}
     quat = {x.name: np.array([1.0, 0, 0, 0]) for x in LINKS} | {"head": turn}
-    rot = {k: rotation_matrix(q) for k, q in quat.items()}
+    rot = {k: rotation_matrix(q, np) for k, q in quat.items()}
     still = lambda x: np.tile(x, (n_steps + 1, *[1] * np.ndim(x)))  # noqa: E731
     path = still(held["pos_w"]) if path is None else path
     motion = {

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from agym_jax.human.capsules import link_capsules
+from agym_jax.math3d import rotation_error
 from agym_jax.offline import kinematics
 
 YAWS = np.deg2rad([0.0, 20.0, -20.0, 45.0, -45.0, 70.0, -70.0])
@@ -270,7 +271,7 @@ def _follower(env: Any) -> Any:
 
     def nearer(q: jax.Array, pos: jax.Array, rot: jax.Array, pull: jax.Array) -> jax.Array:
         tip, tip_rot, j = kinematics.forward(chain, q)
-        e = jnp.concatenate([pos - tip, 0.3 * kinematics.rotation_error(tip_rot, rot)])
+        e = jnp.concatenate([pos - tip, 0.3 * rotation_error(tip_rot, rot)])
         j = j.at[3:].multiply(0.3)
         inverse = j.T @ jnp.linalg.inv(j @ j.T + 1e-4 * jnp.eye(6))
         # what moves the hand nowhere takes joints away from their limits
@@ -282,7 +283,7 @@ def _follower(env: Any) -> Any:
     def one(q: jax.Array, pose: tuple, pull: jax.Array) -> tuple:
         q, _ = jax.lax.scan(lambda q, _: (nearer(q, *pose, pull), None), q, length=10)
         tip, tip_rot, _ = kinematics.forward(chain, q)
-        turned = jnp.linalg.norm(kinematics.rotation_error(tip_rot, pose[1]))
+        turned = jnp.linalg.norm(rotation_error(tip_rot, pose[1]))
         return q, (q, jnp.linalg.norm(tip - pose[0]), turned)
 
     def follow(q: jax.Array, pos: jax.Array, rot: jax.Array, pull: jax.Array) -> tuple:

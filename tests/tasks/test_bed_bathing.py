@@ -13,7 +13,7 @@ import pytest
 
 from agym_jax.human import anthropometry
 from agym_jax.human.population import Population
-from agym_jax.offline.kinematics import rotation_matrix
+from agym_jax.math3d import rotation_matrix
 from agym_jax.sense import Sensed, ToolSensed
 from agym_jax.tasks.bed_bathing import BED_BATHING as TASK
 from agym_jax.tasks.bed_bathing import PER_RING, RINGS, BathState
@@ -23,7 +23,7 @@ from agym_jax.tasks.bed_bathing import PER_RING, RINGS, BathState
 MAN = {"limbs": ((0.279, 0.043, 9, 9), (0.257, 0.033, 8, 6)), "total": 129, "enough": 39}
 WOMAN = {"limbs": ((0.264, 0.0355, 8, 7), (0.234, 0.027, 7, 5)), "total": 91, "enough": 28}
 PEOPLE = [(0.0, MAN), (1.0, WOMAN)]
-TURN = rotation_matrix(np.array([0.5, 0.5, -0.5, 0.5]))
+TURN = rotation_matrix(np.array([0.5, 0.5, -0.5, 0.5]), np)
 LINKS = {
     "chest": np.array([-0.15, 0.2, 0.875]), "right_upper_arm": np.array([-0.32, 0.35, 0.85]),
     "right_forearm": np.array([-0.4, 0.1, 0.83]), "right_hand": np.array([-0.42, -0.15, 0.8]),
@@ -122,7 +122,7 @@ def test_nobody_has_room_for_more_points_than_are_kept(sex: float, stature: floa
 
 def test_points_move_with_their_limb():
     state, shift = begin(), np.array([0.1, -0.2, 0.3])
-    spun = rotation_matrix(np.array([0.6, 0.0, 0.8, 0.0]))
+    spun = rotation_matrix(np.array([0.6, 0.0, 0.8, 0.0]), np)
     for limb, name in enumerate(("right_upper_arm", "right_forearm")):
         moved = sensed(links={name: LINKS[name] + shift}, turns={name: spun})
         after, _ = TASK.advance(state, moved)
@@ -139,7 +139,7 @@ def test_pad_wipes_every_point_within_reach_of_its_face_and_no_other(quat: tuple
     state = begin()
     points = here(state)
     place = points[40] + np.array([0.004, 0.003, 0.0])
-    near = from_face(points, place, rotation_matrix(np.array(quat, float))) < 0.025
+    near = from_face(points, place, rotation_matrix(np.array(quat, float), np)) < 0.025
     after, events = TASK.advance(state, pressing(place, quat=quat))
     dirty = np.asarray(after.dirty)[np.asarray(state.exists) > 0]
     np.testing.assert_array_equal(dirty, ~near)

@@ -21,8 +21,8 @@ from meal_scene import (
 )  # fmt: skip
 
 from agym_jax import observe
+from agym_jax.math3d import rotation_matrix
 from agym_jax.matter.particles.checks import MatterError
-from agym_jax.offline.kinematics import rotation_matrix
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks.drinking import DRINKING as TASK
 from agym_jax.tasks.drinking import DrinkState, in_cup, outcome_of, tilt_reward
@@ -75,7 +75,7 @@ def seen(tool=None, **changes):
 @pytest.mark.parametrize("tilt", [0.0, 1.3])
 def test_inside_is_assistive_gyms_cylinder(height, radius, inside, tilt: float):
     quat = turned(tilt, (0.3, 0.9, 0.0))
-    turn = rotation_matrix(quat)
+    turn = rotation_matrix(quat, np)
     point = CUP_AT + turn @ [radius * 0.6, height, radius * 0.8]
     assert bool(in_cup(*arrays((point[None], CUP_AT, quat)))[0]) == inside
 
@@ -202,7 +202,7 @@ def tilt_now(cup_quat_w: np.ndarray, side: float = 1.0) -> float:
 def upstream_tilt(cup_quat_w: np.ndarray, side: float = 1.0) -> float:
     """tasks.md section 5: -|phi - pi/2| of PR2, Baxter, Sawyer, -|phi + pi/2| of Jaco; phi is the roll of frame C."""
     h = 0.5**0.5
-    frame = rotation_matrix(cup_quat_w) @ rotation_matrix(np.array([h, h, 0.0, 0.0]))
+    frame = rotation_matrix(cup_quat_w, np) @ rotation_matrix(np.array([h, h, 0.0, 0.0]), np)
     return -abs(np.arctan2(frame[2, 1], frame[2, 2]) - side * np.pi / 2)
 
 
@@ -211,7 +211,7 @@ def test_reward_is_assistive_gyms():
     tool = {
         "quat_w": turned(0.7, (1.0, 0.0, 0.0)), "vel_w": np.array([0.0, 0.3, 0.4]), "on_human": 12.0
     }  # fmt: skip
-    up = rotation_matrix(tool["quat_w"])[:, 1]
+    up = rotation_matrix(tool["quat_w"], np)[:, 1]
     tool["pos_w"] = MOUTH + np.array([0.0, -0.3, 0.4]) - 0.115 * up
     action = jnp.array([0.5, -0.5, 0.5, -0.5, 0.0, 0.0, 1.0])
     events = arrays({"drunk": 3.0, "spilled": 2.0, "hits": 5.0, "speed": 1.5})

@@ -16,11 +16,12 @@ from meal_script import play
 import agym_jax
 from agym_jax.data.banks import load_bank
 from agym_jax.human.capsules import link_capsules
+from agym_jax.math3d import rotation_matrix
 from agym_jax.matter.particles.checks import MatterError, capacity
-from agym_jax.matter.particles.solver import Particles, ParticleSpec
-from agym_jax.matter.shapes import columns, rotation
-from agym_jax.offline import kinematics
 from agym_jax.matter.particles.fill import fill, load_fill
+from agym_jax.matter.particles.solver import Particles, ParticleSpec
+from agym_jax.matter.shapes import columns
+from agym_jax.offline import kinematics
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import build_scene
 from agym_jax.spec import Pose
@@ -57,9 +58,7 @@ def humans(task: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for seed in range(PEOPLE):
         state = env.reset(jax.random.PRNGKey(seed))
         pos = {x: np.asarray(state.data.xpos)[bodies[x]] for x in LIMBS}
-        rot = {
-            x: kinematics.rotation_matrix(np.asarray(state.data.xquat)[bodies[x]]) for x in LIMBS
-        }
+        rot = {x: rotation_matrix(np.asarray(state.data.xquat)[bodies[x]], np) for x in LIMBS}
         found.append(link_capsules(state.episode.human.dims, LIMBS, pos, rot))
     a, b, radius = (np.stack([np.asarray(x) for x in part]) for part in zip(*found, strict=True))
     return a, b, radius
@@ -81,8 +80,12 @@ def test_an_episode_begins_with_a_full_vessel_that_touches_nobody(task: str, rob
     def begin(angles: jax.Array, base: jax.Array, turn: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Particles in the world and in the vessel (n, 3)."""
         pos, rot, _ = kinematics.forward(chain, angles)
-        inside = rotation(turn) @ rot @ rotation(jnp.array(frame.quat))
-        where = base + rotation(turn) @ (pos + rot @ jnp.array(frame.pos))
+        inside = (
+            rotation_matrix(turn, normalize=True)
+            @ rot
+            @ rotation_matrix(jnp.array(frame.quat), normalize=True)
+        )
+        where = base + rotation_matrix(turn, normalize=True) @ (pos + rot @ jnp.array(frame.pos))
         particles = fill(load_fill(name), where, quaternion(inside))
         return particles.pos_w, (particles.pos_w - where) @ inside
 
@@ -127,8 +130,8 @@ def test_the_side_of_the_person_is_assistive_gyms_sign(robot: str):
     @jax.vmap
     def sides(angles: jax.Array, base: jax.Array, turn: jax.Array) -> jax.Array:
         pos, rot, _ = kinematics.forward(chain, angles)
-        cup = base + rotation(turn) @ pos
-        turned = quaternion(rotation(turn) @ rot)
+        cup = base + rotation_matrix(turn, normalize=True) @ pos
+        turned = quaternion(rotation_matrix(turn, normalize=True) @ rot)
         return jax.vmap(lambda mouth: side_of(turned, mouth - cup))(mouths)
 
     found = sides(*map(jnp.asarray, (bank.arm_angles, bank.base_pos, bank.base_quat)))

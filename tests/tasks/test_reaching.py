@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agym_jax.human import anthropometry
-from agym_jax.offline.kinematics import rotation_matrix
+from agym_jax.math3d import rotation_matrix
 from agym_jax.robots import ROBOTS
 from agym_jax.sense import Sensed, ToolSensed
 from agym_jax.sim.scene import build_scene
@@ -42,7 +42,7 @@ def sensed(
     return Sensed(
         tools=(ToolSensed(**arrays(HAND | (hand or {}))),),
         link_pos_w=arrays({"head": head, "chest": CHEST}),
-        link_rot_w=arrays({"head": rotation_matrix(turn), "chest": np.eye(3)}),
+        link_rot_w=arrays({"head": rotation_matrix(turn, np), "chest": np.eye(3)}),
         link_quat_w=arrays({"head": turn, "chest": np.array([1.0, 0, 0, 0])}),
         motion=None,
         dims=arrays(anthropometry.dims(sex)),
@@ -54,7 +54,7 @@ def sensed(
 
 
 def mouth(sex: float = 0.0, turn: np.ndarray = TURN, head: np.ndarray = HEAD) -> np.ndarray:
-    return head + rotation_matrix(turn / np.linalg.norm(turn)) @ MOUTH[sex]
+    return head + rotation_matrix(turn / np.linalg.norm(turn), np) @ MOUTH[sex]
 
 
 @pytest.mark.parametrize("sex", MOUTH)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from agym_jax.human import anthropometry
-from agym_jax.offline.kinematics import rotation_matrix
+from agym_jax.math3d import rotation_matrix
 from agym_jax.preferences import preference_terms
 from agym_jax.sense import Sensed, ToolSensed
 from agym_jax.spec import Preferences
@@ -22,7 +22,7 @@ from agym_jax.tasks.scratch_itch import ItchState
 MAN = anthropometry.dims(0.0)
 UPPER, FORE = (0.279, 0.043), (0.257, 0.033)  # length, radius of a man [m], humans.md section 3
 SHOULDER, ELBOW = np.array([-0.179, 0.03, 1.0315]), np.array([-0.3185, 0.03, 0.7899])
-TURN = rotation_matrix(np.array([0.8, 0.36, -0.48, 0.0]))
+TURN = rotation_matrix(np.array([0.8, 0.36, -0.48, 0.0]), np)
 LINKS = {
     "chest": np.array([0, 0.03, 0.89]), "right_upper_arm": SHOULDER, "right_forearm": ELBOW,
     "right_hand": np.array([-0.3185, -0.26, 0.79]),
@@ -103,7 +103,7 @@ def test_targets_lie_on_the_skin_of_either_limb():
 @pytest.mark.parametrize("fore", [0.0, 1.0])
 def test_target_moves_with_its_limb_and_not_with_the_other(fore: float):
     start = itch(on_forearm=fore)
-    turn, shift = rotation_matrix(np.array([0.6, 0.0, 0.8, 0.0])), np.array([0.1, -0.2, 0.3])
+    turn, shift = rotation_matrix(np.array([0.6, 0.0, 0.8, 0.0]), np), np.array([0.1, -0.2, 0.3])
     limbs = ["right_upper_arm", "right_forearm"]
     mine, other = reversed(limbs) if fore else limbs
     old = LINKS[mine]

@@ -21,9 +21,9 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from agym_jax.math3d import TINY
+
 Array = Any
-TINY = 1e-12
-"""Least squared length [m^2]: lengths stay differentiable at zero."""
 
 AG_TO_VESSEL = (0.5**0.5, 0.5**0.5, 0.0, 0.0)
 """Rotation wxyz that takes coordinates in AG's mesh frame to the vessel's frame."""

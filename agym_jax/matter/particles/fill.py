@@ -18,8 +18,8 @@ from jax import Array
 from agym_jax.data.assets import asset_root
 from agym_jax.data.npz import read_arrays
 from agym_jax.errors import MissingFillError, UnknownNameError
+from agym_jax.math3d import rotation_matrix
 from agym_jax.matter.particles.solver import FOOD, WATER, Particles
-from agym_jax.matter.shapes import rotation
 
 DOWN = (0.0, 0.0, -1.0)
 CONTENTS = {"spoon": FOOD, "cup": WATER}
@@ -66,7 +66,7 @@ def fill(bank: FillBank, vessel_pos_w: Array, vessel_quat_w: Array) -> Particles
         vessel_pos_w: of the vessel's frame [m] (3,).
         vessel_quat_w: wxyz (4,).
     """
-    rot_w = rotation(vessel_quat_w)
+    rot_w = rotation_matrix(vessel_quat_w, normalize=True)
     nearest = jnp.argmax(jnp.asarray(bank.gravity_dir) @ (jnp.array(DOWN) @ rot_w))
     pos_w = vessel_pos_w + jnp.asarray(bank.pos)[nearest] @ rot_w.T
     return Particles(pos_w, jnp.zeros_like(pos_w), jnp.ones(len(pos_w), bool))

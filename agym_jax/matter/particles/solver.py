@@ -27,6 +27,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from agym_jax.math3d import rotation_rows, unit_quat_parts
 from agym_jax.matter.fused_scan import SumOver, fused_scan, pad_to_power_of_two
 from agym_jax.matter.particles.constraints import (
     CALM,
@@ -51,7 +52,6 @@ from agym_jax.matter.shapes import (
     floor_touching,
     length,
     quat_columns,
-    rotation_rows,
     scale,
     sub,
     turn,
@@ -295,7 +295,7 @@ def _interpolate(motion: Obstacles, substeps: int) -> _Moving:
 
     return _Moving(
         pos_w=each(fill, columns(motion.vessel_pos_w)),
-        rot_w=rotation_rows(*quat_columns(fill(quat))),
+        rot_w=rotation_rows(*unit_quat_parts(*quat_columns(fill(quat)))),
         ends_w=jax.tree.map(lambda x: fill(_pad(x)), motion.human.ends()),
     )
 

@@ -18,6 +18,7 @@ from jax import Array
 
 from agym_jax.human.body import HEAD
 from agym_jax.human.capsules import link_capsules
+from agym_jax.math3d import child_pose
 from agym_jax.matter.particles.solver import Obstacles, Particles
 from agym_jax.matter.shapes import Boxes, Capsules
 from agym_jax.observe import column, observation
@@ -136,7 +137,7 @@ def obstacles(sensed: Sensed, vessel: Pose, furniture: Boxes) -> Obstacles:
         furniture: at rest.
     """
     motion = sensed.motion
-    pos, quat = attach(motion.tool_pos_w, motion.tool_quat_w, vessel)
+    pos, quat = child_pose(motion.tool_pos_w, motion.tool_quat_w, vessel.pos, vessel.quat)
     links = (*TOUCHABLE, *BELOW)
     human = link_capsules(sensed.dims, links, motion.link_pos_w, motion.link_rot_w)
     return Obstacles(
@@ -163,23 +164,6 @@ def privileged_obs(matter: Particles, eaten: Array, mouth_pos_w: Array) -> Array
     off = jnp.where(matter.alive[:, None], matter.pos_w - mouth_pos_w, 0.0)
     shares = jnp.stack([left, eaten]) / len(matter.alive)
     return jnp.concatenate([shares, off.sum(0) / jnp.maximum(left, 1.0)])
-
-
-def attach(pos_w: Array, quat_w: Array, local: Pose) -> tuple[Array, Array]:
-    """World pose of a frame that is fixed in another: positions [m] (..., 3), wxyz (..., 4).
-
-    Args:
-        pos_w: of the other frame [m] (..., 3).
-        quat_w: of the other frame (..., 4).
-        local: of the fixed one in it.
-    """
-    w, v = quat_w[..., :1], quat_w[..., 1:]
-    offset = jnp.broadcast_to(jnp.asarray(local.pos, jnp.float32), v.shape)
-    turned = 2.0 * jnp.cross(v, offset)
-    pos = pos_w + offset + w * turned + jnp.cross(v, turned)
-    b, c = local.quat[0], jnp.broadcast_to(jnp.asarray(local.quat[1:], jnp.float32), v.shape)
-    scalar = w * b - jnp.sum(v * c, -1, keepdims=True)
-    return pos, jnp.concatenate([scalar, w * c + b * v + jnp.cross(v, c)], -1)
 
 
 def drawn(pos_w: Array, alive: Array) -> Array:

@@ -1,8 +1,8 @@
-"""THE environment: control -> physics -> sense -> task -> observe, in that order, once.
+"""The environment: control -> physics -> sense -> task -> observe, in that order, once.
 
 One class for every task, robot and person. ``reset`` and ``step`` are pure and written for one environment;
 ``jax.vmap`` them, or let ``agym_jax.wrappers.vectorize`` do it with auto-reset. The physics is one of
-those in ``physics``; with one that JAX cannot trace, the parts around it are compiled by themselves.
+those in ``sim.physics``; where JAX cannot trace it, the stages around it are compiled by themselves.
 
 DEVIATION(action-penalty): actions are clipped to [-1, 1] before they are penalised (AG penalises the
 raw action).
@@ -24,17 +24,24 @@ from jax import Array
 
 from agym_jax import observe
 from agym_jax.data.banks import load_bank
-from agym_jax.errors import ActionError, WrapperError
-from agym_jax.human import population
+from agym_jax.errors import ActionError, SpecError, WrapperError
+from agym_jax.human.population import Population
 from agym_jax.jax_settings import full_precision
 from agym_jax.rendering.raycast import Marker
-from agym_jax.sense import ContactSums, Motion, Sensed, at_rest, no_contacts, sense
+from agym_jax.sense import Motion, Sensed
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import EpisodeSample, geom_sizes, make_episode, sample_episode
 from agym_jax.sim.physics import build_physics, check_traceable, choose_impl
 from agym_jax.sim.scene import build_scene, compose, draw_surfaces
+from agym_jax.sim.sensing import ContactSums, motion_at_rest, no_contacts, sense
 from agym_jax.spec import Furnished, Pose, Privileged, RobotSpec, Surface, Surfaced, Task
 from agym_jax.state import Episode, State, select, strong
+
+METRICS = (
+    "force/on_human", "force/tool_on_human", "force/robot_on_human", "force/tool", "success", "nan",
+    "overflow",
+)  # fmt: skip
+"""Metrics of every environment, besides the reward's terms."""
 
 
 class AssistiveEnv:
@@ -56,11 +63,11 @@ class AssistiveEnv:
         robot: RobotSpec,
         active: bool = False,
         impl: str = "auto",
-        humans: population.Population | None = None,
+        humans: Population | None = None,
         num_envs: int = 1,
     ):
         self.task, self.robot, self.active = task, robot, active
-        self.humans = humans or population.Population()
+        self.humans = humans or Population()
         self.impl = choose_impl(impl)
         self.num_envs = num_envs
         self.scene = build_scene(task, robot, active)
@@ -71,11 +78,11 @@ class AssistiveEnv:
             self.impl, self.scene, self.controller, task.control.frame_skip, num_envs
         )
         self._bank = load_bank(task, robot)
-        whole = self.physics.traceable  # then the caller compiles ``reset`` and ``step``
-        part: Callable[[Any], Any] = (lambda function: function) if whole else jax.jit
-        self._draw, self._meet = part(self._draw_episode), part(self._first_look)
-        self._order, self._judge = part(self.controller.targets), part(self._judgement)
-        if whole:
+        # the stages around the physics; one that JAX cannot trace has them compiled one by one
+        stage = self.physics.stage
+        self._sample, self._init_task = stage(self._sample_episode), stage(self._begin_task)
+        self._targets, self._evaluate = stage(self.controller.targets), stage(self._evaluate_step)
+        if self.physics.traceable:
             _introduce_to_brax()
 
     # -- sizes ---------------------------------------------------------------------------------
@@ -104,7 +111,7 @@ class AssistiveEnv:
 
     @property
     def privileged_obs_size(self) -> int:
-        """Length of what ``privileged_obs`` tells."""
+        """Entries of ``State.privileged_obs``; 0 where there are none."""
         return self.task.privileged_obs_size if isinstance(self.task, Privileged) else 0
 
     @property
@@ -182,126 +189,148 @@ class AssistiveEnv:
         action = self._checked(action)
         check_traceable(self.physics, state.data.qpos, action)
         # control
-        targets = self._order(state.episode, state.data.qpos, action)
+        targets = self._targets(state.episode, state.data.qpos, action)
         # physics
-        data, touch, motion = self.physics.step(state.data, state.episode, targets)
+        data, contacts, motion = self.physics.step(state.data, state.episode, targets)
         # sense -> task -> observe
-        judged = self._judge(data, touch, motion, state.task, state.episode, targets)
+        after = self._evaluate(data, contacts, motion, state.task, state.episode, targets)
         # where Brax's EpisodeWrapper counts, it sets the limit too; else it would take ours for a failure
-        done = judged.metrics["nan"] if "steps" in state.info else judged.done
+        done = after.metrics["nan"] if "steps" in state.info else after.done
         return state.replace(
             data=data,
-            obs=judged.obs,
-            reward=judged.reward,
+            obs=after.obs,
+            privileged_obs=after.privileged_obs,
+            reward=after.reward,
             done=done,
-            metrics={**state.metrics, **judged.metrics},
-            task=judged.task,
-            episode=dataclasses.replace(state.episode, human_target=targets.hold, step=judged.step),
+            metrics={**state.metrics, **after.metrics},
+            task=after.task,
+            episode=dataclasses.replace(state.episode, human_target=targets.hold, step=after.step),
         )
 
-    @full_precision
-    def privileged_obs(self, state: State) -> Array:
-        """What rewards to come depend on and nobody observes, for value functions (hidden_size,)."""
-        return (
-            self.task.privileged_obs(state.task)
-            if isinstance(self.task, Privileged)
-            else jnp.zeros(0)
-        )
-
-    def programs(self) -> tuple[Callable[[Array], State], Callable[[State, Array], State]]:
-        """``reset`` and ``step`` of one environment, compiled as far as the physics allows."""
-        whole = self.physics.traceable
-        return (jax.jit(self.reset), jax.jit(self.step)) if whole else (self.reset, self.step)
-
-    # -- around the physics ---------------------------------------------------------------------
-
-    def _draw_episode(self, rng: Array) -> tuple[EpisodeSample, Array, Array]:
-        """What makes an episode, and the keys of the task and of what comes after."""
-        *keys, key_task, key = jax.random.split(rng, 5)
-        drawn = sample_episode(keys, self.scene, self.task.human, self.humans, self._bank)
-        return strong((drawn, key_task, key))
-
-    def _begin(
-        self, data: Any, rng: Array, where: Array | None = None, old: State | None = None
-    ) -> State:
-        """Write a new episode into ``data``; with ``where`` and ``old``, only where it holds."""
-        check_traceable(self.physics, rng)
-        drawn, key_task, key = self._draw(rng)
-        xp = jnp if self.physics.traceable else np
-        episode = strong(make_episode(self.scene, self.task.human, drawn, xp))
-        if where is not None and old is not None:
-            episode = select(where, episode, old.episode)
-        data = self.physics.reset(data, episode, where)
-        task, obs, metrics = self._meet(key_task, data, episode)
-        if where is not None and old is not None:
-            task, obs = select(where, (task, obs), (old.task, old.obs))
-            return old.replace(data=data, obs=obs, task=task, episode=episode)
-        zero = jnp.float32(0.0)
-        return State(data, obs, zero, zero, metrics, {}, task, episode, key)
-
-    def _first_look(self, key: Array, data: Any, episode: Episode) -> tuple[Any, Array, dict]:
-        """The task as it begins, what is seen of it, and metrics of nothing."""
-        index = self.scene.index
-        still = at_rest(index, data, self.task.control.frame_skip)
-        sensed = self._sense(data, no_contacts(index), still, episode)
-        task = self.task.init(key, sensed)
-        _, events = self.task.advance(task, sensed)
-        terms = self.task.rewards(task, events, sensed, jnp.zeros(self.action_size))
-        rewards = dict.fromkeys(terms, jnp.float32(0.0))  # only the names: nothing is computed
-        metrics = self._metrics(task, rewards, sensed, data, jnp.bool_(False))
-        return strong((task, self._observe(task, sensed), metrics))
-
-    def _judgement(
+    def _evaluate_step(
         self,
         data: Any,
-        touch: ContactSums,
+        contacts: ContactSums,
         motion: Motion,
         task: Any,
         episode: Episode,
         targets: ControlTargets,
-    ) -> _Judged:
+    ) -> _Evaluated:
         """Sense -> task -> observe, and the guard against NaN."""
-        sensed = self._sense(data, touch, motion, episode)
+        # sense
+        sensed = self._sense(data, contacts, motion, episode)
+        # task
         task, events = self.task.advance(task, sensed)
         rewards = self.task.rewards(task, events, sensed, targets.action)
-        obs = self._observe(task, sensed)
+        self._check_terms(rewards)
+        # observe
+        obs, privileged_obs = self._observe(task, sensed)
         bad = ~(
             jnp.all(jnp.isfinite(data.qpos)) & jnp.all(jnp.isfinite(data.qvel))
             & jnp.all(jnp.isfinite(obs)) & jnp.isfinite(sum(rewards.values()))
         )  # fmt: skip
         rewards = {k: jnp.where(bad, 0.0, v) for k, v in rewards.items()}
         step = episode.step + 1
-        judged = _Judged(
+        after = _Evaluated(
             task=task,
             obs=jnp.where(bad, 0.0, obs),
+            privileged_obs=privileged_obs,
             reward=jnp.asarray(sum(rewards.values())),
             done=((step >= self.episode_length) | bad).astype(jnp.float32),
             metrics=self._metrics(task, rewards, sensed, data, bad),
             step=step,
         )
-        return strong(judged)
+        return strong(after)
 
-    def _sense(self, data: Any, touch: ContactSums, motion: Motion, episode: Episode) -> Sensed:
+    def jit_functions(self) -> tuple[Callable[[Array], State], Callable[[State, Array], State]]:
+        """``reset`` and ``step`` of one environment, compiled as far as the physics allows."""
+        traceable = self.physics.traceable
+        return (jax.jit(self.reset), jax.jit(self.step)) if traceable else (self.reset, self.step)
+
+    # -- the beginning of an episode -----------------------------------------------------------
+
+    def _begin(
+        self, data: Any, rng: Array, where: Array | None = None, old: State | None = None
+    ) -> State:
+        """Write a new episode into ``data``; with ``where`` and ``old``, only where it holds."""
+        check_traceable(self.physics, rng)
+        sample, key_task, key = self._sample(rng)
+        xp = jnp if self.physics.traceable else np
+        episode = strong(make_episode(self.scene, self.task.human, sample, xp))
+        if where is not None and old is not None:
+            episode = select(where, episode, old.episode)
+        data = self.physics.reset(data, episode, where)
+        task, obs, privileged_obs, success = self._init_task(key_task, data, episode)
+        if where is not None and old is not None:
+            fresh, kept = (task, obs, privileged_obs), (old.task, old.obs, old.privileged_obs)
+            task, obs, privileged_obs = select(where, fresh, kept)
+            return old.replace(
+                data=data, obs=obs, privileged_obs=privileged_obs, task=task, episode=episode
+            )
+        zero = jnp.float32(0.0)
+        metrics = dict.fromkeys(self.metric_names, zero) | {"success": success}
+        return State(
+            data=data, obs=obs, privileged_obs=privileged_obs, reward=zero, done=zero,
+            metrics=metrics, info={}, task=task, episode=episode, key=key,
+        )  # fmt: skip
+
+    def _sample_episode(self, rng: Array) -> tuple[EpisodeSample, Array, Array]:
+        """What makes an episode, and the keys of the task and of what comes after."""
+        *keys, key_task, key = jax.random.split(rng, 5)
+        sample = sample_episode(keys, self.scene, self.task.human, self.humans, self._bank)
+        return strong((sample, key_task, key))
+
+    def _begin_task(
+        self, key: Array, data: Any, episode: Episode
+    ) -> tuple[Any, Array, Array | None, Array]:
+        """The task as it begins, what is seen of it, and whether that is a success already."""
+        index = self.scene.index
+        motion = motion_at_rest(index, data, self.task.control.frame_skip)
+        sensed = self._sense(data, no_contacts(index), motion, episode)
+        task = self.task.init(key, sensed)
+        success = jnp.asarray(self.task.success(task)).astype(jnp.float32)
+        return strong((task, *self._observe(task, sensed), success))
+
+    # -- what stages share ---------------------------------------------------------------------
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """Names of ``State.metrics``, in order."""
+        return (*(f"reward/{term}" for term in self.task.reward_terms), *METRICS)
+
+    def _check_terms(self, rewards: dict[str, Array]) -> None:
+        if tuple(rewards) != tuple(self.task.reward_terms):
+            raise SpecError(
+                f"{self.task.name}.rewards returns {', '.join(rewards)}; its reward_terms are "
+                f"{', '.join(self.task.reward_terms)}. Name the same terms in the same order."
+            )
+
+    def _sense(self, data: Any, contacts: ContactSums, motion: Motion, episode: Episode) -> Sensed:
         sizes = geom_sizes(self.scene, episode)
-        return sense(self.scene.index, data, touch, motion, episode.human.dims, sizes)
+        return sense(self.scene.index, data, contacts, motion, episode.human.dims, sizes)
 
-    def _observe(self, task: Any, sensed: Sensed) -> Array:
+    def _observe(self, task: Any, sensed: Sensed) -> tuple[Array, Array | None]:
+        """The observation (n_obs,), and what nobody observes, if there is any (n_privileged,)."""
         robot, human = self.task.observe(task, sensed)
         records = [robot, human] if self.active else [robot]
-        return jnp.concatenate([observe.flatten(r) for r in records])
+        obs = jnp.concatenate([observe.flatten(r) for r in records])
+        privileged = isinstance(self.task, Privileged)
+        return obs, self.task.privileged_obs(task) if privileged else None  # pyrefly: ignore
 
     def _metrics(self, task: Any, rewards: dict, sensed: Sensed, data: Any, bad: Array) -> dict:
+        """Values of ``metric_names``."""
         clean = lambda x: jnp.where(bad, 0.0, x).astype(jnp.float32)  # noqa: E731
-        return {
-            **{f"reward/{k}": v for k, v in rewards.items()},
-            "force/on_human": clean(sensed.force_on_human),
-            "force/tool_on_human": clean(sensed.tool_on_human),
-            "force/robot_on_human": clean(sensed.robot_on_human),
-            "force/tool": clean(sum(t.force for t in sensed.tools)),
-            "success": clean(self.task.success(task)),
-            "nan": bad.astype(jnp.float32),
-            "overflow": self.physics.overflow(data),
-        }
+        values = (
+            clean(sensed.force_on_human),
+            clean(sensed.tool_on_human),
+            clean(sensed.robot_on_human),
+            clean(sum(t.force for t in sensed.tools)),
+            clean(self.task.success(task)),
+            bad.astype(jnp.float32),
+            self.physics.overflow(data),
+        )
+        terms = {f"reward/{name}": value for name, value in rewards.items()}
+        return terms | dict(zip(METRICS, values, strict=True))
 
     def _checked(self, action: Any) -> Any:
         """An action as float32; under jit nothing can be said about its entries."""
@@ -372,11 +401,12 @@ class AssistiveEnv:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class _Judged:
+class _Evaluated:
     """What the task makes of a control step."""
 
     task: Any
     obs: Array  # (n_obs,)
+    privileged_obs: Array | None  # (n_privileged,)
     reward: Array  # ()
     done: Array  # ()
     metrics: dict[str, Array]  # each ()

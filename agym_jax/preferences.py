@@ -11,6 +11,15 @@ import jax.numpy as jnp
 
 from agym_jax.spec import Preferences
 
+PREFERENCE_TERMS = (
+    "preference_velocity", "preference_force_nontarget", "preference_high_forces",
+)  # fmt: skip
+"""Names of ``preference_terms``."""
+MEAL_TERMS = ("preference_food_hit", "preference_food_velocities")
+"""Names of ``meal_terms``."""
+DRESSING_TERMS = ("preference_velocity", "preference_dressing_force")
+"""Names of ``dressing_terms``."""
+
 
 def preference_terms(
     weights: Preferences,

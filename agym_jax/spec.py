@@ -287,6 +287,11 @@ class Task(Protocol):
         ...
 
     @property
+    def reward_terms(self) -> tuple[str, ...]:
+        """Names of what ``rewards`` returns, in its order."""
+        ...
+
+    @property
     def robot_obs(self) -> type:
         """Observation record of the robot."""
         ...

@@ -73,6 +73,9 @@ class State:
     task: Any  # the task's own pytree
     episode: Episode
     key: jax.Array
+    privileged_obs: Any = (
+        None  # for value functions: what nobody observes, if anything (n_privileged,)
+    )
 
     def replace(self, **changes: Any) -> State:
         """A copy with some fields changed; ``pipeline_state`` stands for data, task and episode."""

@@ -13,12 +13,12 @@ from agym_jax.errors import ActionError
 
 
 class VectorEnv:
-    """A batch of environments of one environment; ``reset`` and ``step`` are pure.
+    """A batch of one environment; ``reset`` and ``step`` are pure.
 
     When an episode ends, ``step`` returns the first observation of the next one in ``obs``, and the
     true last observation in ``info["final_observation"]``. ``info["truncation"]`` is 1.0 where the episode
-    ended by its length, as all of Assistive Gym's do, rather than by the NaN guard. ``info["privileged_obs"]`` and
-    ``info["final_privileged_obs"]`` tell what the environment's ``privileged_obs`` does of the same two moments.
+    ended by its length, as all of Assistive Gym's do, rather than by the NaN guard. Where a task has a
+    ``privileged_obs``, the state's belongs to ``obs`` and ``info["final_privileged_obs"]`` to ``final_observation``.
     """
 
     def __init__(self, env: Any, num_envs: int):
@@ -51,13 +51,7 @@ class VectorEnv:
         one = key.ndim == (0 if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else 1)
         keys = jax.random.split(key, self.num_envs) if one else key
         state = jax.vmap(self.env.reset)(keys)
-        privileged_obs = jax.vmap(self.env.privileged_obs)(state)
-        info = {
-            "final_observation": state.obs,
-            "final_privileged_obs": privileged_obs,
-            "privileged_obs": privileged_obs,
-            "truncation": jnp.zeros(self.num_envs),
-        }
+        info = _final(state) | {"truncation": jnp.zeros(self.num_envs)}
         return state.replace(info=info)
 
     def step(self, state: Any, action: Array) -> Any:
@@ -79,21 +73,15 @@ class VectorEnv:
         state = jax.vmap(self.env.step)(state.replace(info={}), action)
         finished = state.done > 0
         failed = state.metrics["nan"] > 0
-        info = {
-            **info,
-            "final_observation": state.obs,
-            "final_privileged_obs": jax.vmap(self.env.privileged_obs)(state),
-            "truncation": (finished & ~failed).astype(jnp.float32),
-        }
+        truncation = (finished & ~failed).astype(jnp.float32)
+        info = info | _final(state) | {"truncation": truncation}
         state = jax.lax.cond(
             jnp.any(finished),
             lambda s: jax.vmap(self.env.reset_where)(s, finished),
             lambda s: s,
             state,
         )
-        return state.replace(
-            info={**info, "privileged_obs": jax.vmap(self.env.privileged_obs)(state)}
-        )
+        return state.replace(info=info)
 
     def stagger(self, state: Any, key: Array) -> Any:
         """Put the environments' clocks at random steps, so that episodes do not all end together.
@@ -106,6 +94,13 @@ class VectorEnv:
         return state.replace(episode=dataclasses.replace(state.episode, step=step))
 
 
+def _final(state: Any) -> dict[str, Array]:
+    """What is observed at the end of a step, before any reset."""
+    final = {"final_observation": state.obs}
+    privileged = state.privileged_obs
+    return final if privileged is None else final | {"final_privileged_obs": privileged}
+
+
 def vectorize(env: Any, num_envs: int) -> VectorEnv:
-    """``num_envs`` environments of an environment, with auto-reset."""
+    """``num_envs`` copies of an environment, with auto-reset."""
     return VectorEnv(env, num_envs)

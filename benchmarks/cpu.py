@@ -46,7 +46,7 @@ import sys, time
 import jax, jax.numpy as jnp, agym_jax
 began, name, steps = float(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 env = agym_jax.make(name, impl="jax")
-reset, step = env.programs()
+reset, step = env.jit_functions()
 state = jax.block_until_ready(reset(jax.random.PRNGKey(0)))
 at_reset = time.time()
 action = jnp.full(env.action_size, 0.1)

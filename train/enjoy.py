@@ -25,7 +25,7 @@ from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.rendering.meshes import check_visuals
 
 from .configs import Count
-from .envs import make_env, programs
+from .envs import jit_functions, make_env
 from .errors import ConfigError
 from .learning.rollout import FORCE_KEY
 
@@ -98,7 +98,7 @@ class Player:
 
     def __init__(self, env: Any, policy: AnyPolicy, deterministic: bool = True) -> None:
         self.env = env
-        self._reset, self._step = programs(env)
+        self._reset, self._step = jit_functions(env)
         self._act = jax.jit(lambda obs, key: policy(obs, key, deterministic))
 
     def episode(self, seed: int) -> Iterator[Frame]:

@@ -31,10 +31,10 @@ def vectorize(env: Any, num_envs: int) -> Any:
     return wrappers.vectorize(env, num_envs)
 
 
-def programs(env: Any) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """``reset`` and ``step`` of one environment, compiled; an environment that has ``programs()`` makes them."""
-    if hasattr(env, "programs"):
-        return env.programs()
+def jit_functions(env: Any) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """``reset`` and ``step`` of one environment, compiled; an environment that has ``jit_functions()`` makes them."""
+    if hasattr(env, "jit_functions"):
+        return env.jit_functions()
     return jax.jit(env.reset), jax.jit(env.step)
 
 

@@ -47,7 +47,7 @@ class _Programs(NamedTuple):
 @cache
 def _programs(env_id: str, impl: str, humans: Population | None) -> _Programs:
     env = agym_jax.make(env_id, impl=choose_impl(impl, single_env=True), humans=humans)
-    return _Programs(env, *env.programs())
+    return _Programs(env, *env.jit_functions())
 
 
 class GymnasiumEnv(gymnasium.Env):

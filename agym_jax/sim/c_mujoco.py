@@ -11,6 +11,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,10 +22,18 @@ import numpy as np
 from jax import Array
 
 from agym_jax.human.muscles import Muscles
-from agym_jax.sense import ContactSums, Motion, at_rest, moment, no_contacts, read_contacts
+from agym_jax.sense import Motion
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import model_fields
 from agym_jax.sim.scene import Scene
+from agym_jax.sim.sensing import (
+    ContactSums,
+    motion_at_rest,
+    motion_of,
+    no_contacts,
+    read_contacts,
+    sample_poses,
+)
 from agym_jax.state import Episode
 
 Layout = tuple[tuple[str, int, int, tuple[int, ...]], ...]
@@ -121,6 +130,10 @@ class NativePhysics:
         self._human_of = jax.jit(human_of)
         self._limit_torque = jax.jit(controller.limit_torque)
 
+    def stage(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function, compiled by itself."""
+        return jax.jit(function)
+
     def make_data(self) -> NativeData:
         """Data of an environment in which nothing has begun."""
         return NativeData.of(mujoco.MjData(self.model), self._layout)
@@ -141,31 +154,30 @@ class NativePhysics:
         self, data: NativeData, episode: Episode, targets: ControlTargets
     ) -> tuple[NativeData, ContactSums, Motion]:
         """One control step. The ``qpos`` of an environment that goes non-finite are NaN."""
-        index, sensors = self.scene.index, []
+        index, sensors, samples = self.scene.index, [], []
         target = np.asarray(targets.target)
         with self._lock:
             d = self._load(data, episode)
             d.ctrl[index.robot_ctrl] = targets.goal
-            moments = []
             for _ in range(self.frame_skip):
                 if not _is_sound(d):
                     break
                 d.qfrc_applied[index.human_dof] = self._torque(d, target)
                 mujoco.mj_step(self.model, d)
                 sensors.append(d.sensordata.copy())
-                moments.append(moment(index, d, np))
+                samples.append(sample_poses(index, d, np))
             if not _is_sound(d):
-                still = at_rest(index, data, self.frame_skip)
-                return (
-                    data.replace(qpos=np.nan),
-                    no_contacts(index),
-                    still,
-                )  # the guard against NaN sees it
+                motion = motion_at_rest(index, data, self.frame_skip)
+                # the guard against NaN sees it
+                return data.replace(qpos=np.nan), no_contacts(index), motion
             mujoco.mj_kinematics(self.model, d)
-            moments.append(moment(index, d, np))
-            motion = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *moments)
-            touch = _sum(read_contacts(index, np.stack(sensors), np))
-            return NativeData.of(d, self._layout), touch, motion
+            samples.append(sample_poses(index, d, np))
+            motion = motion_of(index, jax.tree.map(lambda *x: np.stack(x), *samples), np)
+            motion = jax.tree.map(lambda x: x.astype(np.float32), motion)
+            sums = jax.tree.map(
+                lambda x: x.sum(axis=0), read_contacts(index, np.stack(sensors), np)
+            )
+            return NativeData.of(d, self._layout), sums, motion
 
     def _torque(self, d: mujoco.MjData, target: np.ndarray) -> np.ndarray:
         """Of muscles and pose-dependent limits on the person's joints [N m] (n_person,)."""
@@ -192,11 +204,6 @@ class NativePhysics:
             getattr(self._data, name)[:] = getattr(data, name)
         self._data.qfrc_applied[:] = 0.0
         return self._data
-
-
-def _sum(touch: ContactSums) -> ContactSums:
-    """Over physics steps, the first axis."""
-    return jax.tree.map(lambda x: x.sum(axis=0), touch)
 
 
 def _own_model(scene: Scene) -> mujoco.MjModel:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -15,16 +16,24 @@ from jax import Array
 from agym_jax.compat.mjx_quat import apply, mjx
 from agym_jax.compat.warp_kernels import compile_kernels
 from agym_jax.compat.warp_streams import hold_streams
-from agym_jax.sense import ContactSums, Motion, add_contacts, moment, no_contacts
+from agym_jax.sense import Motion
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import model_fields, start_qpos
 from agym_jax.sim.scene import Scene
+from agym_jax.sim.sensing import (
+    ContactSums,
+    PoseSample,
+    add_contacts,
+    motion_of,
+    no_contacts,
+    sample_poses,
+)
 from agym_jax.state import Episode, strong
 
 apply()
 
-WARP_CONTACTS_PER_WORLD = 24
-WARP_ROWS_PER_WORLD = 128
+WARP_CONTACTS_PER_ENV = 24
+WARP_ROWS_PER_ENV = 128
 WARP_ITERATIONS, WARP_LS_ITERATIONS = 20, 20
 """Warp stops when it has converged, so generous limits cost nothing."""
 WARP_LOST = 0b1001111
@@ -57,13 +66,17 @@ class MjxPhysics:
             self.model = put_model(scene.model, impl)
         self._static = np.flatnonzero(scene.model.body_weldid[scene.model.geom_bodyid] == 0)
 
+    def stage(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function as it is: the caller compiles it with the physics."""
+        return function
+
     def make_data(self) -> mjx.Data:
         """Data of an environment in which nothing has begun."""
         return mjx.make_data(
             self.scene.model,
             impl=self.impl,
-            naconmax=WARP_CONTACTS_PER_WORLD * self.num_envs,
-            njmax=WARP_ROWS_PER_WORLD,
+            naconmax=WARP_CONTACTS_PER_ENV * self.num_envs,
+            njmax=WARP_ROWS_PER_ENV,
         )
 
     def reset(self, data: mjx.Data, episode: Episode, where: Array | None = None) -> mjx.Data:
@@ -86,21 +99,23 @@ class MjxPhysics:
         muscles = self.controller.muscles(episode.human)
         data = data.replace(ctrl=data.ctrl.at[index.robot_ctrl].set(targets.goal))
 
-        def substep(carry: tuple[mjx.Data, ContactSums], _: None) -> tuple[tuple, Motion]:
-            data, touch = carry
+        def substep(carry: tuple[mjx.Data, ContactSums], _: None) -> tuple[tuple, PoseSample]:
+            data, contacts = carry
             q, v = data.qpos[index.human_qpos], data.qvel[index.human_dof]
             pull = muscles.torque(targets.target, q, data.qfrc_bias[index.human_dof])
             torque = pull + self.controller.limit_torque(q, v)
             data = data.replace(qfrc_applied=data.qfrc_applied.at[index.human_dof].set(torque))
             data = mjx.step(model, data)
             # what a step leaves behind is where things were as it began
-            return (data, add_contacts(index, touch, data.sensordata)), moment(index, data)
+            contacts = add_contacts(index, contacts, data.sensordata)
+            return (data, contacts), sample_poses(index, data)
 
         start = (data, no_contacts(index))
-        (data, touch), moments = jax.lax.scan(substep, start, length=self.frame_skip)
+        (data, contacts), poses = jax.lax.scan(substep, start, length=self.frame_skip)
         data = mjx.kinematics(model, data)
-        end = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), moments, moment(index, data))
-        return strong(data), touch, end
+        append = lambda a, b: jnp.concatenate([a, b[None]])  # noqa: E731
+        poses = jax.tree.map(append, poses, sample_poses(index, data))
+        return strong(data), contacts, motion_of(index, poses)
 
     def overflow(self, data: mjx.Data) -> Array:
         """1.0 where Warp's buffers lost a contact or a constraint row ()."""
@@ -121,7 +136,7 @@ def put_model(model: mujoco.MjModel, impl: str) -> Any:
     model = copy.copy(model)
     model.opt.iterations, model.opt.ls_iterations = WARP_ITERATIONS, WARP_LS_ITERATIONS
     hold_streams()
-    compile_kernels(model, WARP_ROWS_PER_WORLD, WARP_CONTACTS_PER_WORLD, WARP_LOST)
+    compile_kernels(model, WARP_ROWS_PER_ENV, WARP_CONTACTS_PER_ENV, WARP_LOST)
     put = mjx.put_model(model, impl=impl)
     option = put.opt._impl.replace(warn_overflow=WARP_LOST)  # no print for iteration limits
     return put.replace(opt=put.opt.replace(_impl=option))

@@ -1,21 +1,23 @@
 """Physics: what the environment asks of it, and which implementations there are.
 
-``mjx_physics`` is MJX, in JAX or Warp, for any number of environments; ``native`` is C MuJoCo, for one environment
-on the CPU. Each is imported only when it is used: MJX alone takes seconds to import.
+``sim.mjx`` is MJX, in JAX or Warp, for any number of environments; ``sim.c_mujoco`` is C MuJoCo, for one
+environment on the CPU. Each is imported only when it is used: MJX alone takes seconds to import.
 """
 
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import jax
 from jax import Array
 
 from agym_jax.errors import ImplementationError, did_you_mean
-from agym_jax.sense import ContactSums, Motion
+from agym_jax.sense import Motion
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.scene import Scene
+from agym_jax.sim.sensing import ContactSums
 from agym_jax.state import Episode
 
 IMPLEMENTATIONS = ("auto", "jax", "warp", "native")
@@ -26,6 +28,10 @@ class Physics(Protocol):
 
     traceable: bool
     """Whether JAX can trace it (``jit``, ``vmap``); if not, only what is around it is compiled."""
+
+    def stage(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """A pure function that runs before or after the physics: as it is, or compiled by itself."""
+        ...
 
     def make_data(self) -> Any:
         """Data of an environment in which nothing has begun."""

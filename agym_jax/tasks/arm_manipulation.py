@@ -25,7 +25,7 @@ from jax import Array
 from agym_jax.furniture import BED
 from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.observe import column, observation, part
-from agym_jax.preferences import preference_terms
+from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed, ToolSensed
 from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
@@ -127,6 +127,9 @@ class ArmManipulation:
         passive_mode="limp",
     )  # fmt: skip
     episode_length: int = 200
+    reward_terms: tuple[str, ...] = (
+        "distance_human", "distance_tools", "action", *PREFERENCE_TERMS, "preference_high_pressures",
+    )  # fmt: skip
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 

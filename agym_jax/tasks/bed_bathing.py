@@ -126,12 +126,7 @@ class BedBathing:
         passive_mode="welded",
     )  # fmt: skip
     episode_length: int = 200
-    reward_terms: tuple[str, ...] = (
-        "distance",
-        "action",
-        "wiping",
-        *PREFERENCE_TERMS,
-    )
+    reward_terms: tuple[str, ...] = ("distance", "action", "wiping", *PREFERENCE_TERMS)
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 

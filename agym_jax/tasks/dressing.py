@@ -38,7 +38,7 @@ from agym_jax.matter.cloth.solver import Cloth, Touch
 from agym_jax.matter.cloth.topology import ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import Capsules
 from agym_jax.observe import column, observation, part
-from agym_jax.preferences import dressing_terms
+from agym_jax.preferences import DRESSING_TERMS, dressing_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, HumanSpec, Preferences, SeatSpec, Surface
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso
@@ -158,6 +158,7 @@ class Dressing:
         passive_mode="frozen",
     )  # fmt: skip
     episode_length: int = 200
+    reward_terms: tuple[str, ...] = ("dressing", "action", *DRESSING_TERMS)
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 

@@ -102,13 +102,7 @@ class Feeding:
     seat: SeatSpec = WHEELCHAIR_AT_TABLE
     human: HumanSpec = meals.diner(rate=0.0005 / 0.002, max_torque=5.0)
     episode_length: int = 200
-    reward_terms: tuple[str, ...] = (
-        "distance",
-        "action",
-        "food",
-        *PREFERENCE_TERMS,
-        *MEAL_TERMS,
-    )
+    reward_terms: tuple[str, ...] = ("distance", "action", "food", *PREFERENCE_TERMS, *MEAL_TERMS)
     robot_obs: type = meals.RobotObs
     human_obs: type = meals.HumanObs
 

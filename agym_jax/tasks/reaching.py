@@ -21,7 +21,7 @@ from jax import Array
 from agym_jax.furniture import WHEELCHAIR
 from agym_jax.human.body import HEAD
 from agym_jax.observe import column, observation
-from agym_jax.preferences import preference_terms
+from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, HumanSpec, Preferences, SeatSpec
 
@@ -101,6 +101,7 @@ class Reaching:
         passive_mode="frozen",
     )  # fmt: skip
     episode_length: int = 200
+    reward_terms: tuple[str, ...] = ("distance", *PREFERENCE_TERMS)
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 

@@ -17,7 +17,7 @@ from jax import Array
 from agym_jax.furniture import WHEELCHAIR
 from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.observe import column, observation, part
-from agym_jax.preferences import preference_terms
+from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
 from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
@@ -123,6 +123,13 @@ class ScratchItch:
                "chest", "waist", "head", "right_thigh"),
     )  # fmt: skip
     episode_length: int = 200
+    reward_terms: tuple[str, ...] = (
+        "distance",
+        "action",
+        "tool_force",
+        "scratch",
+        *PREFERENCE_TERMS,
+    )
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 

@@ -17,7 +17,7 @@ from jax import Array
 from agym_jax.furniture import WHEELCHAIR
 from agym_jax.human.body import HEAD
 from agym_jax.observe import column, observation
-from agym_jax.preferences import preference_terms
+from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.registry import register_robot, register_task
 from agym_jax.sense import Sensed
 from agym_jax.spec import Arm, Control, HumanSpec, Preferences, RobotSpec, SeatSpec
@@ -98,6 +98,7 @@ class Waving:
         passive_mode="welded",
     )  # fmt: skip
     episode_length: int = 100
+    reward_terms: tuple[str, ...] = ("distance", *PREFERENCE_TERMS)
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from agym_jax.policy.agents import AnyPolicy
 
-from ..envs import programs
+from ..envs import jit_functions
 from .score import EvaluationResult, add_step, result_of, zero_sums
 
 
@@ -32,7 +32,7 @@ def evaluate_alone(
         deterministic: take the mode of the policy's distribution.
     """
     start = time.perf_counter()
-    reset, step = programs(env)
+    reset, step = jit_functions(env)
     act = jax.jit(lambda obs, key: policy(obs, key, deterministic))
     add = jax.jit(add_step)
     found = []

@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(agym_jax.__version__)
         return 0
     try:
-        run = _find(ALIASES.get(name, name))
+        run = find(name)
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
@@ -76,13 +76,14 @@ def usage(prog: str) -> str:
     return "\n".join([*lines, "", f"{prog} COMMAND --help says more."])
 
 
-def _find(name: str) -> Callable[..., int]:
-    """The function of a command.
+def find(name: str) -> Callable[..., int]:
+    """The function of a command: ``main(argv, prog=...)``.
 
     Raises:
         UnknownNameError: there is no such command; the message has the nearest.
         MissingExtraError: the trainer needs packages that are not installed.
     """
+    name = ALIASES.get(name, name)
     if name not in COMMANDS:
         raise UnknownNameError("command", name, COMMANDS)
     module = COMMANDS[name][0]
@@ -123,6 +124,7 @@ def trainer() -> ModuleType:
     except BaseException:
         del sys.modules[TRAINER]
         raise
+    setattr(agym_jax, TRAINER.rpartition(".")[2], module)  # as importing a part of a package does
     return module
 
 

@@ -1,10 +1,10 @@
-"""Solids that particles touch: capsules of the person, boxes of the furniture, the floor.
+"""Distances of points from the solids they may touch: capsules of the person, boxes of the furniture, the floor.
 
-Signed distances (negative inside) and outward normals of n points to k solids, in world coordinates.
-Square roots are guarded, so values and gradients are finite everywhere.
+Signed distances (negative inside) and outward normals between n points and k solids, in world coordinates.
+Square roots are guarded, so that values and gradients are finite everywhere.
 
 A set of vectors is a tuple of three arrays of coordinates, ``Xyz``: an axis of length 3 is slow on every
-processor. Between k solids and n points arrays are (k, n).
+processor. Arrays between k solids and n points are (k, n).
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ Xyz = tuple[Array, Array, Array]
 Quat = tuple[Array, Array, Array, Array]
 """Parts w, x, y and z of quaternions."""
 Ends = tuple[Xyz, Xyz]
-"""Both ends of capsules."""
+"""The two ends of capsules."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Touching:
-    """Where n points are with respect to k solids."""
+class Distances:
+    """Distances of n points from k solids."""
 
     dist: Array  # signed, from the surface [m]                             (k, n)
     normal: Xyz  # outward unit vector                                      each (k, n)
-    moved: Xyz  # how far the solid's nearest material moved [m]            each (k, n)
+    moved: Xyz  # displacement of the solid's nearest point [m]             each (k, n)
 
 
 @jax.tree_util.register_dataclass
@@ -46,75 +46,92 @@ class Capsules:
     radius: Array  # [m]                                                    (k,)
 
     def ends(self) -> Ends:
-        """Both ends, in columns."""
+        """The two ends, by coordinates."""
         return columns(self.a_w), columns(self.b_w)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Boxes:
-    """Boxes that do not move."""
+    """Boxes at rest."""
 
     pos_w: Array  # centres [m]                                             (k, 3)
     quat_w: Array  # wxyz                                                   (k, 4)
     half: Array  # half sizes [m]                                           (k, 3)
 
     def columns(self) -> tuple[Xyz, Quat, Xyz]:
-        """Centres, quaternions and half sizes, in columns."""
+        """Centres, quaternions and half sizes, by coordinates."""
         return columns(self.pos_w), quat_columns(self.quat_w), columns(self.half)
 
 
-def capsules_touching(points_w: Xyz, now: Ends, then: Ends, radius: Array) -> Touching:
-    """Distances of points, each (n,), from k capsules: ends [m] as they are and as they were, radii [m]."""
-    (a, b), (a_then, b_then) = (tuple(map(_upright, ends)) for ends in (now, then))
+def capsule_distances(points_w: Xyz, now: Ends, then: Ends, radius: Array) -> Distances:
+    """Distances of n points from k capsules.
+
+    Args:
+        points_w: [m], each (n,).
+        now: ends of the capsules [m], each (k,).
+        then: where the ends were before they moved [m], each (k,).
+        radius: [m] (k,).
+    """
+    (a, b), (a_then, b_then) = (tuple(map(_to_column, ends)) for ends in (now, then))
     axis = sub(b, a)
     from_a = sub(points_w, a)
     share = jnp.clip(dot(from_a, axis) / jnp.maximum(dot(axis, axis), TINY), 0.0, 1.0)
     off = sub(from_a, scale(share, axis))
     gap = length(off)
     moved_a, moved_b = sub(a, a_then), sub(b, b_then)
-    return Touching(
+    return Distances(
         dist=gap - radius[:, None],
         normal=scale(1.0 / gap, off),
         moved=add(moved_a, scale(share, sub(moved_b, moved_a))),
     )
 
 
-def boxes_touching(points_w: Xyz, pos_w: Xyz, quat_w: Quat, half: Xyz) -> Touching:
-    """Distances of points, each (n,), from k boxes, in columns: exact outside, from the nearest face inside."""
-    rot = [_upright(row) for row in rotation_rows(*unit_quat_parts(*quat_w))]
-    local, half = turn_back(rot, sub(points_w, _upright(pos_w))), _upright(half)
-    excess = each(lambda x, h: jnp.abs(x) - h, local, half)
-    outside = each(lambda e: jnp.maximum(e, 0.0), excess)
+def box_distances(points_w: Xyz, pos_w: Xyz, quat_w: Quat, half: Xyz) -> Distances:
+    """Distances of n points from k boxes at rest: exact outside, from the nearest face inside.
+
+    Args:
+        points_w: [m], each (n,).
+        pos_w: centres [m], each (k,).
+        quat_w: orientations wxyz, each (k,).
+        half: half sizes [m], each (k,).
+    """
+    rot = [_to_column(row) for row in rotation_rows(*unit_quat_parts(*quat_w))]
+    local, half = matvec_transposed(rot, sub(points_w, _to_column(pos_w))), _to_column(half)
+    excess = map_xyz(lambda x, h: jnp.abs(x) - h, local, half)
+    outside = map_xyz(lambda e: jnp.maximum(e, 0.0), excess)
     deepest = jnp.maximum(jnp.maximum(excess[0], excess[1]), excess[2])
     gap, is_out = length(outside), deepest > 0
-    face = each(lambda e: (e == deepest).astype(gap.dtype), excess)
+    face = map_xyz(lambda e: (e == deepest).astype(gap.dtype), excess)
     face = scale(1.0 / (face[0] + face[1] + face[2]), face)
-    towards = each(
+    towards = map_xyz(
         lambda x, o, f: jnp.sign(x) * jnp.where(is_out, o / gap, f), local, outside, face
     )
-    still = jnp.zeros_like(gap)
-    return Touching(
+    zero = jnp.zeros_like(gap)
+    return Distances(
         dist=jnp.where(is_out, gap, deepest),
-        normal=turn(rot, towards),
-        moved=(still, still, still),
+        normal=matvec(rot, towards),
+        moved=(zero, zero, zero),
     )
 
 
-def floor_touching(points_w: Xyz, height: Array) -> Touching:
-    """Distances of points, each (n,), from a level floor at a height [m] (): one solid."""
+def floor_distances(points_w: Xyz, height: Array) -> Distances:
+    """Distances of points, each (n,), from a level floor at a height [m] ().
+
+    The floor is one solid: arrays are (1, n).
+    """
     dist = (points_w[2] - height)[None]
-    none = jnp.zeros_like(dist)
-    return Touching(dist=dist, normal=(none, none, none + 1.0), moved=(none, none, none))
+    zero = jnp.zeros_like(dist)
+    return Distances(dist=dist, normal=(zero, zero, zero + 1.0), moved=(zero, zero, zero))
 
 
 def no_capsules() -> Capsules:
-    """Nobody is there."""
+    """An empty set of capsules."""
     return Capsules(jnp.zeros((0, 3)), jnp.zeros((0, 3)), jnp.zeros(0))
 
 
 def no_boxes() -> Boxes:
-    """No furniture."""
+    """An empty set of boxes."""
     return Boxes(jnp.zeros((0, 3)), jnp.zeros((0, 4)), jnp.zeros((0, 3)))
 
 
@@ -128,19 +145,19 @@ def quat_columns(quat: Array) -> Quat:
     return quat[..., 0], quat[..., 1], quat[..., 2], quat[..., 3]
 
 
-def _upright(a: Xyz) -> Xyz:
-    """Of k solids, each (k,) -> (k, 1), against points (n,)."""
-    return each(lambda x: x[:, None], a)
+def _to_column(a: Xyz) -> Xyz:
+    """Coordinates of k solids, (k,) -> (k, 1), to be broadcast against points (n,)."""
+    return map_xyz(lambda x: x[:, None], a)
 
 
-def each(function: Callable[..., Array], *vectors: Xyz) -> Xyz:
-    """A function of coordinates, for x, y and z."""
+def map_xyz(function: Callable[..., Array], *vectors: Xyz) -> Xyz:
+    """Apply a function to the x, the y and the z coordinates."""
     x, y, z = zip(*vectors, strict=True)
     return function(*x), function(*y), function(*z)
 
 
 def dot(a: Xyz, b: Xyz) -> Array:
-    """Scalar product."""
+    """Inner product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -150,26 +167,26 @@ def length(a: Xyz) -> Array:
 
 
 def add(a: Xyz, b: Xyz) -> Xyz:
-    """The sum."""
+    """Sum."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def sub(a: Xyz, b: Xyz) -> Xyz:
-    """The difference."""
+    """Difference."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 def scale(factor: Array | float, a: Xyz) -> Xyz:
-    """A multiple."""
+    """Product of a scalar and a vector."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
-def turn(rows: Sequence[Xyz], a: Xyz) -> Xyz:
-    """Vectors turned by rotation matrices, given by their three rows."""
+def matvec(rows: Sequence[Xyz], a: Xyz) -> Xyz:
+    """Product of matrices, given by their three rows, and vectors."""
     return dot(rows[0], a), dot(rows[1], a), dot(rows[2], a)
 
 
-def turn_back(rows: Sequence[Xyz], a: Xyz) -> Xyz:
-    """Vectors turned by the inverses of rotation matrices, given by their three rows."""
+def matvec_transposed(rows: Sequence[Xyz], a: Xyz) -> Xyz:
+    """Product of the transposes of matrices, given by their three rows, and vectors."""
     x, y, z = rows
-    return turn(((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])), a)
+    return matvec(((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])), a)

@@ -14,7 +14,7 @@ import pytest
 
 from agym_jax.matter.fused_scan import kernel
 from agym_jax.matter.particles import solver as matter
-from agym_jax.matter.particles.constraints import CALM, push_pairs, push_vessel
+from agym_jax.matter.particles.constraints import LAST_RELAXATION, apply_pairs, apply_vessel
 from agym_jax.matter.particles.containers import CUP, SPOON
 from agym_jax.matter.particles.solver import (
     FOOD,
@@ -421,8 +421,8 @@ def test_gradients_are_finite() -> None:
 
     def total(pos: jax.Array) -> jax.Array:
         local, old = columns(pos), columns(pos + 1e-4)
-        local, contacts = push_pairs(R, MU, local, old, jnp.zeros(4), CALM, DT)
-        local, _ = push_vessel(CUP, R, MU, local, old, DT)
+        local, contacts = apply_pairs(R, MU, local, old, jnp.zeros(4), LAST_RELAXATION, DT)
+        local, _ = apply_vessel(CUP, R, MU, local, old, DT)
         return sum(jnp.sum(x) for x in local) + jnp.sum(contacts)
 
     assert np.isfinite(jax.jit(jax.grad(total))(pos)).all()
@@ -444,7 +444,7 @@ def test_no_way_leads_through_a_wall() -> None:
         assert crossed.sum() > 300  # of these ways
         local, touched = new, jnp.zeros(len(start), bool)
         for _ in range(2):
-            local, now = push_vessel(vessel, R, MU, local, old, 0.002)
+            local, now = apply_vessel(vessel, R, MU, local, old, 0.002)
             touched = touched | now
         over = np.asarray(local[2]) > vessel.brim[1]  # a shallow bowl's particles stand out of it
         over &= np.asarray(vessel.polar(*local[:2])[0]) < vessel.brim[0]

@@ -17,11 +17,11 @@ from agym_jax.matter.particles.solver import FOOD, WATER, ParticleSpec
 from agym_jax.matter.shapes import (
     Boxes,
     Capsules,
-    boxes_touching,
-    capsules_touching,
+    box_distances,
+    capsule_distances,
     columns,
     dot,
-    floor_touching,
+    floor_distances,
     no_boxes,
     no_capsules,
 )
@@ -163,7 +163,7 @@ def test_capsules() -> None:
     points = cloud([0.5, 0.5, 1.0], 1.0)
     now = Capsules(*(jnp.asarray(x, jnp.float32) for x in (a, b, radius)))
     before = Capsules(now.a_w - moved, now.b_w - moved, now.radius)
-    seen = jax.jit(capsules_touching)(xyz(points), now.ends(), before.ends(), now.radius)
+    seen = jax.jit(capsule_distances)(xyz(points), now.ends(), before.ends(), now.radius)
     share = np.linspace(0, 1, 1000)[:, None]
     for k in range(2):
         segment = a[k] + share * (b[k] - a[k])
@@ -178,7 +178,7 @@ def test_capsules() -> None:
 def test_a_turning_capsule_moves_where_it_is_touched() -> None:
     before = Capsules(jnp.zeros((1, 3)), jnp.array([[1.0, 0, 0]]), jnp.array([0.1]))
     now = Capsules(jnp.zeros((1, 3)), jnp.array([[1.0, 0, 0.04]]), jnp.array([0.1]))
-    seen = capsules_touching(
+    seen = capsule_distances(
         xyz(np.array([[0.25, 0, 0.2], [2.0, 0, 0]])), now.ends(), before.ends(), now.radius
     )
     np.testing.assert_allclose(seen.moved[2], [[0.01, 0.04]], atol=5e-4)
@@ -193,7 +193,7 @@ def test_boxes() -> None:
     )
     box = Boxes(*(jnp.asarray(x, jnp.float32)[None] for x in (pos, quat, half)))
     points = cloud(pos, 0.4)
-    seen = jax.jit(boxes_touching)(xyz(points), *box.columns())
+    seen = jax.jit(box_distances)(xyz(points), *box.columns())
     local = (points - pos) @ rot
     nearest = np.clip(local, -half, half)
     outside = np.linalg.norm(local - nearest, axis=1)
@@ -208,12 +208,12 @@ def test_boxes() -> None:
 
 def test_the_floor_and_nothing() -> None:
     points = xyz(np.array([[3.0, -2.0, 0.4], [0.0, 0.0, -0.1]]))
-    floor = floor_touching(points, jnp.float32(0.1))
+    floor = floor_distances(points, jnp.float32(0.1))
     np.testing.assert_allclose(floor.dist, [[0.3, -0.2]], atol=1e-6)
     nobody = no_capsules()
     for nothing in (
-        capsules_touching(points, nobody.ends(), nobody.ends(), nobody.radius),
-        boxes_touching(points, *no_boxes().columns()),
+        capsule_distances(points, nobody.ends(), nobody.ends(), nobody.radius),
+        box_distances(points, *no_boxes().columns()),
     ):
         assert nothing.dist.shape == nothing.normal[2].shape == (0, 2)
 
@@ -226,8 +226,8 @@ def test_gradients_are_finite_where_lengths_are_zero() -> None:
     def total(point: jax.Array) -> jax.Array:
         p = columns(point[None])
         walls = sum(jnp.sum(v.wall(*p)[0]) + jnp.sum(v.reach(p[2])) for v in (CUP, SPOON))
-        in_ball = capsules_touching(p, ball.ends(), ball.ends(), ball.radius)
-        return jnp.sum(in_ball.dist) + jnp.sum(boxes_touching(p, *box.columns()).dist) + walls
+        in_ball = capsule_distances(p, ball.ends(), ball.ends(), ball.radius)
+        return jnp.sum(in_ball.dist) + jnp.sum(box_distances(p, *box.columns()).dist) + walls
 
     brim = [CUP.brim[0], 0.0, CUP.brim[1]]
     points = jnp.array([[0.0, 0, 0], [0.0, 0, 0.05], brim, [0.0, SPOON.trough, 0.001]])
@@ -245,7 +245,7 @@ def test_what_tools_hold() -> None:
     [
         ({"count": 40}, 0.01, "40 particles of radius 0.005 m do not fit .* it holds 15"),
         ({"vessel": None}, 0.01, "8 particles need a vessel, got None"),
-        ({"substeps": 1}, 0.01, r"could cross a wall within one substep of 10.00 ms: up to 3.00 m/s .* substeps=2"),
+        ({"substeps": 1}, 0.01, r"could cross a wall within one substep of 10.00 ms: the limit is 3.00 m/s.* substeps=2"),
         ({"substeps": 0}, 0.01, "need substeps > 0, got 0"),
         ({"radius": -1.0}, 0.01, "need radius > 0"),
     ],

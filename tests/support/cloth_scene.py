@@ -21,7 +21,7 @@ from agym_jax.matter.cloth.sleeve import (
 )
 from agym_jax.matter.cloth.solver import Cloth, Touch, in_hand, initial, slip, step
 from agym_jax.matter.cloth.topology import ClothSpec
-from agym_jax.matter.shapes import Capsules, capsules_touching, no_capsules
+from agym_jax.matter.shapes import Capsules, capsule_distances, no_capsules
 from agym_jax.tasks.dressing import BELOW_HAND, UP, held_at, swivel
 
 DT = 0.01
@@ -181,5 +181,5 @@ def _depth(pos_w: Array, capsules: Capsules, spec: ClothSpec) -> Array:
     """Most that a free vertex lies inside the arm's surface [m] ()."""
     points = tuple(pos_w[:, i] for i in range(3))
     ends = capsules.ends()
-    dist = capsules_touching(points, ends, ends, capsules.radius).dist.min(0)
+    dist = capsule_distances(points, ends, ends, capsules.radius).dist.min(0)
     return jnp.maximum(-jnp.where(jnp.asarray(spec.held < 0), dist, 1.0).min(), 0.0)

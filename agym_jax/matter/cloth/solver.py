@@ -34,7 +34,18 @@ from jax.lax import rsqrt
 
 from agym_jax.matter.cloth.kernel import InArrays, Publish, Rows, State, advance
 from agym_jax.matter.cloth.topology import ClothSpec, Sweep, Tables, tables
-from agym_jax.matter.shapes import TINY, Capsules, Xyz, add, columns, dot, each, length, scale, sub
+from agym_jax.matter.shapes import (
+    TINY,
+    Capsules,
+    Xyz,
+    add,
+    columns,
+    dot,
+    length,
+    map_xyz,
+    scale,
+    sub,
+)
 
 HEALING = 0.2
 """Share of an old overlap with a solid that heals in a substep: by displacement, without speed or force."""
@@ -128,7 +139,7 @@ def step(
     def on_each(x: Array) -> Array:
         return jnp.where(own & ~broken, x, 0.0).sum(-1)
 
-    net = jnp.stack(each(on_each, force), -1)
+    net = jnp.stack(map_xyz(on_each, force), -1)
     on_all = jnp.stack(force, -1).sum(0)
     grip = jnp.where(broken, 0.0, _grip(spec, vel_before, cloth.vel_w, on_all, dt))
     total = on_each(jnp.sqrt(dot(force, force)))
@@ -227,7 +238,7 @@ def _substep(
     pos, vel, pushed, touched = state
     free, tether = tables.free[0], tables.tether[0]
     anchor = _look(moment.anchors, tether)
-    fallen = each(partial(jnp.where, free > 0), _fall(spec, pos, vel, h), anchor)
+    fallen = map_xyz(partial(jnp.where, free > 0), _fall(spec, pos, vel, h), anchor)
     moved = _relax(spec, tables, publish, fallen, anchor)
     push, heal, which = _push_out(spec, free, moved, pos, moment, solids, floor)
     after = add(moved, push)
@@ -306,7 +317,7 @@ def _nearest(
         which, dist = jnp.where(lower, solids, which), jnp.minimum(above, dist)
         x, y, z = (jnp.where(lower, 0.0, n) for n in normal)
         normal = x, y, jnp.where(lower, 1.0, z)
-        carried = each(lambda c: jnp.where(lower, 0.0, c), carried)
+        carried = map_xyz(lambda c: jnp.where(lower, 0.0, c), carried)
     return which, dist, normal, carried
 
 

@@ -1,1 +1,1 @@
-"""Food and water: particles in a container, and what they touch."""
+"""Food and water: particles in a vessel."""

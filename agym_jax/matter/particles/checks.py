@@ -1,4 +1,4 @@
-"""What particles need to be simulated well; refused before anything runs, with the limit."""
+"""Limits within which particles are simulated accurately, checked before anything runs."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from agym_jax.matter.particles.containers import Vessel
 from agym_jax.matter.particles.solver import ParticleSpec
 
 PACKING = 0.5
-"""Share of the room that spheres may take up: loosely packed, they fill 0.55 of it."""
-SIDEWAYS = 2.0
-"""A vessel's wall is guarded on ways shorter than its opening: this times the radius of the opening."""
+"""Share of the volume that spheres may take up: loosely packed, they fill 0.55 of it."""
+OPENING_RADII = 2.0
+"""A vessel's wall stops particles that move by less than the width of its opening: by this many radii of it."""
 
 
 class MatterError(AgymError, ValueError):
-    """Particles that do not fit their vessel or their time step."""
+    """Particles that do not fit into their vessel, or move too far in a substep."""
 
 
 def capacity(vessel: Vessel, radius: float) -> int:
     """How many spheres of a radius [m] a vessel holds: level with the rim, and half a layer above it."""
-    room = vessel.volume + vessel.mouth_area * radius
-    return math.floor(PACKING * room / (4 / 3 * math.pi * radius**3))
+    volume = vessel.volume + vessel.mouth_area * radius
+    return math.floor(PACKING * volume / (4 / 3 * math.pi * radius**3))
 
 
 def speed_limit(spec: ParticleSpec, dt: float, thinnest: float) -> float:
-    """Greatest speed [m/s] at which no particle crosses anything in one substep.
+    """Greatest speed [m/s] at which no particle passes through a solid or a wall in one substep.
 
-    Solids are left by the side that is nearest, so a particle has to stop short of their middle; the
-    wall of the vessel has a memory of sides, and fails only on ways across the whole opening.
+    A particle leaves a solid on the nearest side, so it must not move beyond the solid's middle. The wall of the
+    vessel remembers the side of each particle, and fails only for displacements across the whole opening.
 
     Args:
         spec: of the particles.
@@ -36,11 +36,11 @@ def speed_limit(spec: ParticleSpec, dt: float, thinnest: float) -> float:
         thinnest: least half thickness of the person's capsules and the furniture [m].
     """
     h = dt / spec.substeps
-    return min(thinnest + spec.radius, SIDEWAYS * spec.vessel.brim[0]) / h
+    return min(thinnest + spec.radius, OPENING_RADII * spec.vessel.brim[0]) / h
 
 
 def check(spec: ParticleSpec, dt: float, thinnest: float = math.inf) -> None:
-    """Refuse particles that could not be simulated well.
+    """Refuse particles that could not be simulated accurately.
 
     Args:
         spec: of the particles.
@@ -48,12 +48,12 @@ def check(spec: ParticleSpec, dt: float, thinnest: float = math.inf) -> None:
         thinnest: least half thickness of the person's capsules and the furniture [m].
 
     Raises:
-        MatterError: no vessel, more particles than it holds, or steps in which one could cross a
-            wall; the message has the limit.
+        MatterError: no vessel, more particles than it holds, or substeps in which a particle could pass through
+            a wall. The message names the limit.
     """
     if not isinstance(spec.vessel, Vessel):
         raise MatterError(
-            f"{spec.count} particles need a vessel, got {spec.vessel!r}. Give the tool an inside: a Cup or "
+            f"{spec.count} particles need a vessel, got {spec.vessel!r}. Use a Cup or "
             "a Bowl of agym_jax.matter.particles.containers, such as CUP or SPOON."
         )
     numbers = {"count": spec.count, "radius": spec.radius, "mass": spec.mass, "dt": dt}
@@ -73,6 +73,6 @@ def check(spec: ParticleSpec, dt: float, thinnest: float = math.inf) -> None:
         needed = math.ceil(spec.substeps * spec.max_speed / limit)
         raise MatterError(
             f"At {spec.max_speed} m/s a particle could cross a wall within one substep of "
-            f"{1e3 * dt / spec.substeps:.2f} ms: up to {limit:.2f} m/s it cannot. Use substeps={needed} or "
+            f"{1e3 * dt / spec.substeps:.2f} ms; the limit is {limit:.2f} m/s. Use substeps={needed} or "
             "more, or a lower max_speed."
         )

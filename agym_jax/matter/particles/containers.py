@@ -1,11 +1,11 @@
 """Thin-walled vessels that hold particles: the cup and the bowl of the spoon.
 
-A vessel is a mid-surface of constant thickness with a round rim. In its own frame z points out of the
-opening. The cup is a surface of revolution about z; the spoon's bowl is one too, cut in half and drawn
-apart along y by a straight trough, which gives the oval outline of a spoon. Both are described by
-their inside, in metres, and everything is exact: no facets, no meshes.
+A vessel is a mid-surface with a wall of constant thickness and a round rim. In its own frame z points out of the
+opening. The cup is a surface of revolution about z; the spoon's bowl is one too, cut in half and extended
+along y by a straight trough, which gives the oval outline of a spoon. Both are described by
+their inside, in metres, and all distances are exact: no facets, no meshes.
 
-The frames are Assistive Gym's mesh frames turned by ``AG_TO_VESSEL``: AG's x is x, its y (up) is z, its
+The frames are Assistive Gym's mesh frames rotated by ``AG_TO_VESSEL``: AG's x is x, its y (up) is z, its
 z (along the spoon's handle) is -y.
 
 DEVIATION(vessel-shape): AG's convex pieces (reference furniture.md sections 6 and 7) become a cone with
@@ -31,10 +31,9 @@ AG_TO_VESSEL = (0.5**0.5, 0.5**0.5, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Vessel(ABC):
-    """What a cup and a bowl share. Points are given by coordinates in the vessel's frame [m].
+    """Base class of cup and bowl. Points are given by coordinates in the vessel's frame [m].
 
-    A vessel of your own says where its mid-surface is: Python refuses to make one that leaves out any of the
-    abstract members, and names them.
+    A new vessel implements the abstract members, which define its mid-surface.
 
     Attributes:
         thickness: of the wall [m].
@@ -50,12 +49,12 @@ class Vessel(ABC):
     @property
     @abstractmethod
     def brim(self) -> tuple[float, float]:
-        """Radius and height at which the mid-surface ends [m]."""
+        """Radius and height of the rim of the mid-surface [m]."""
 
     @property
     @abstractmethod
     def depth(self) -> float:
-        """From the lowest point of the inside up to the rim's inner edge [m]."""
+        """Height of the rim's inner edge above the lowest point of the inside [m]."""
 
     @property
     @abstractmethod
@@ -69,11 +68,11 @@ class Vessel(ABC):
 
     @abstractmethod
     def nearest(self, radius: Array, height: Array) -> tuple[Array, Array]:
-        """Radius and height of the point of the mid-surface that is nearest [m] (...)."""
+        """Radius and height of the nearest point of the mid-surface [m] (...)."""
 
     @abstractmethod
     def reach(self, height: Array) -> Array:
-        """Radius of the mid-surface at a height; negative below it [m] (...)."""
+        """Radius of the mid-surface at a height [m]; negative below its lowest point (...)."""
 
     def polar(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Radius and its unit direction (x, y) from the axis, or from the trough's middle line (...)."""
@@ -82,14 +81,14 @@ class Vessel(ABC):
         return radius, x / radius, along / radius
 
     def wall(self, x: Array, y: Array, z: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-        """Distance from the mid-surface, and the unit vector away from it.
+        """Distance from the mid-surface [m], and the unit vector away from it.
 
-        The signed distance of the material is the distance less half the thickness.
+        The distance from the material is this less half the thickness.
 
         Args:
-            x: coordinates [m] (...).
-            y: the same.
-            z: the same.
+            x: coordinate [m] (...).
+            y: coordinate [m] (...).
+            z: coordinate [m] (...).
         """
         radius, ux, uy = self.polar(x, y)
         near_radius, near_z = self.nearest(radius, z)
@@ -98,7 +97,7 @@ class Vessel(ABC):
         return dist, (ux * out / dist, uy * out / dist, up / dist)
 
     def holds(self, x: Array, y: Array, z: Array) -> Array:
-        """Whether points lie in the inside: within the mid-surface, below its end (...)."""
+        """Whether points are inside: within the mid-surface and below its rim (...)."""
         radius, _, _ = self.polar(x, y)
         return (z < self.brim[1]) & (radius < self.reach(z))
 
@@ -106,8 +105,8 @@ class Vessel(ABC):
         """Whether straight paths cross the plane of the opening within the opening.
 
         Args:
-            start: coordinates of the beginnings [m], three of (...).
-            end: of the ends, the same.
+            start: coordinates of the paths' starts [m], each (...).
+            end: coordinates of their ends [m], each (...).
         """
         radius, height = self.brim
         rise = end[2] - start[2]
@@ -145,7 +144,7 @@ class Cup(Vessel):
 
     @property
     def brim(self) -> tuple[float, float]:
-        """Radius and height at which the mid-surface ends [m]."""
+        """Radius and height of the rim of the mid-surface [m]."""
         radius, z = self._base
         top = self.rim_height - self.thickness / 2
         return radius + self._slope * (top - z), top
@@ -167,7 +166,7 @@ class Cup(Vessel):
         return math.pi * self.rim_radius**2
 
     def nearest(self, radius: Array, height: Array) -> tuple[Array, Array]:
-        """Radius and height of the point of the mid-surface that is nearest [m] (...)."""
+        """Radius and height of the nearest point of the mid-surface [m] (...)."""
         (r0, z0), (r1, z1) = self._base, self.brim
         dr, dz = r1 - r0, z1 - z0
         share = ((radius - r0) * dr + (height - z0) * dz) / (dr * dr + dz * dz)
@@ -180,14 +179,14 @@ class Cup(Vessel):
         return jnp.where(on_wall, wall_r, floor_r), jnp.where(on_wall, wall_z, z0)
 
     def reach(self, height: Array) -> Array:
-        """Radius of the mid-surface at a height; negative below it [m] (...)."""
+        """Radius of the mid-surface at a height [m]; negative below its lowest point (...)."""
         radius, z = self._base
         return jnp.where(height > z, radius + self._slope * (height - z), -1.0)
 
 
 @dataclass(frozen=True)
 class Bowl(Vessel):
-    """A spherical dish, drawn apart along y. Origin: lowest point of the inside, in the middle.
+    """A spherical dish, extended along y. Origin: lowest point of the inside, in the middle.
 
     Attributes:
         half_width: of the inside at the rim's inner edge, along x [m].
@@ -206,12 +205,12 @@ class Bowl(Vessel):
 
     @property
     def curvature(self) -> float:
-        """Radius of the inner face; its centre lies that high above the origin [m]."""
+        """Radius of the inner face, and height of its centre above the origin [m]."""
         return (self.half_width**2 + self.rim_depth**2) / (2 * self.rim_depth)
 
     @property
     def brim(self) -> tuple[float, float]:
-        """Radius and height at which the mid-surface ends [m]."""
+        """Radius and height of the rim of the mid-surface [m]."""
         inner, half = self.curvature, self.thickness / 2
         grown = (inner + half) / inner
         return self.half_width * grown, inner - (inner - self.rim_depth) * grown
@@ -241,12 +240,12 @@ class Bowl(Vessel):
         return math.pi * self.half_width**2 + 4 * self.trough * self.half_width
 
     def nearest(self, radius: Array, height: Array) -> tuple[Array, Array]:
-        """Radius and height of the point of the mid-surface that is nearest [m] (...)."""
+        """Radius and height of the nearest point of the mid-surface [m] (...)."""
         middle, mid = self.curvature, self.curvature + self.thickness / 2
         end_r, end_z = self.brim
         below = middle - height
         length = jnp.sqrt(jnp.maximum(radius * radius + below * below, TINY))
-        # within the arc's angle: on this side of the ray from its middle to its end
+        # within the arc's angle: on the inner side of the ray from its centre to its end
         on_arc = radius * (middle - end_z) < below * end_r
         scale = mid / length
         return (
@@ -255,7 +254,7 @@ class Bowl(Vessel):
         )
 
     def reach(self, height: Array) -> Array:
-        """Radius of the mid-surface at a height; negative below it [m] (...)."""
+        """Radius of the mid-surface at a height [m]; negative below its lowest point (...)."""
         mid = self.curvature + self.thickness / 2
         square = mid * mid - (height - self.curvature) ** 2
         return jnp.where(square > 0, jnp.sqrt(jnp.maximum(square, TINY)), -1.0)

@@ -1,4 +1,6 @@
-"""Spoon and cup as they are filled when an episode begins: a look-up in a bank of particles at rest.
+"""How spoon and cup are filled when an episode begins: particles at rest, looked up in a bank.
+
+``agym_jax.offline.particle_fill`` builds the banks.
 
 DEVIATION(settled-bank): an episode begins with particles at rest, in an arrangement of the nearest tilt; AG
 begins with whatever motion its settling has left.
@@ -22,21 +24,22 @@ from agym_jax.math3d import rotation_matrix
 from agym_jax.matter.particles.solver import FOOD, WATER, Particles
 
 DOWN = (0.0, 0.0, -1.0)
+"""Direction of gravity, world."""
 CONTENTS = {"spoon": FOOD, "cup": WATER}
-"""What each vessel holds."""
+"""Particles of each vessel that has a bank."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FillBank:
-    """A bank of K arrangements of n particles, in the vessel's frame."""
+    """K arrangements of n particles at rest, in the vessel's frame."""
 
     gravity_dir: Array | np.ndarray  # unit vectors in which gravity points (K, 3)
     pos: Array | np.ndarray  # centres [m]                                  (K, n, 3)
 
 
 def fill_path(name: str) -> Path:
-    """Where a vessel's bank is kept."""
+    """File of a vessel's bank."""
     return asset_root() / "matter" / f"{name}.npz"
 
 
@@ -46,7 +49,7 @@ def load_fill(name: str) -> FillBank:
 
     Raises:
         UnknownNameError: there is no such vessel.
-        MissingFillError: its bank is missing or damaged; the message has the command that makes it.
+        MissingFillError: its bank is missing or damaged; the message names the command that builds it.
     """
     if name not in CONTENTS:
         raise UnknownNameError("vessel", name, CONTENTS)
@@ -59,7 +62,7 @@ def load_fill(name: str) -> FillBank:
 
 
 def fill(bank: FillBank, vessel_pos_w: Array, vessel_quat_w: Array) -> Particles:
-    """Particles at rest in a vessel, as they lie at the nearest tilt of the bank.
+    """Particles at rest in a vessel, from the bank's row of the nearest tilt.
 
     Args:
         bank: of the vessel.

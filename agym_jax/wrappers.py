@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from agym_jax.errors import ActionError
+from agym_jax.jax_settings import enable_compilation_cache
 
 
 class VectorEnv:
@@ -103,4 +104,5 @@ def _final(state: Any) -> dict[str, Array]:
 
 def vectorize(env: Any, num_envs: int) -> VectorEnv:
     """``num_envs`` copies of an environment, with auto-reset."""
+    enable_compilation_cache()
     return VectorEnv(env, num_envs)

@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 
 import agym_jax
+from agym_jax.jax_settings import enable_compilation_cache
 from agym_jax.sim.scene import compose
 from agym_jax.spec import Pose
 from agym_jax.state import Episode
 from agym_jax.wrappers import VectorEnv, vectorize
+
+enable_compilation_cache()  # also for the small programs of tests that build no environment
 
 BATCH = 8
 STATIC, ACTIVE = "ScratchItchJaco-v0", "ScratchItchJacoHuman-v0"

@@ -1,7 +1,7 @@
 """Train robot and person to help each other: ``agym-jax coop --env-name ScratchItchJacoHuman-v0``.
 
 Co-optimisation as in Assistive Gym: two policies, two observations, one reward, one compiled update.
-Rerunning the same command continues a run that was killed; ``train`` does the same from Python.
+Rerunning the same command resumes an interrupted run; ``train`` does the same from Python.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import Any
 
 from .configs import CoopConfig
 from .envs import make_env, refuse_static_human
-from .learning.agents import TwoLearners
+from .learning.agents import Agents
 from .runs.progress import Progress
 from .runs.result import TrainResult
-from .runs.session import OnLog, command_line, run_session, settle
+from .runs.session import OnLog, command_line, resolve_config, run_session
 
 
 def train(
@@ -43,8 +43,8 @@ def train(
             ``train.ppo.train``.
     """
     refuse_static_human(env)
-    config, mesh = settle(env, config)
-    return run_session(env, config, TwoLearners(config, env), mesh, progress, on_log)
+    config, mesh = resolve_config(env, config)
+    return run_session(env, config, Agents(config, env, ("robot", "human")), mesh, progress, on_log)
 
 
 def main(

@@ -26,7 +26,7 @@ from agym_jax.registry import static_id
 from .configs import Count
 from .envs import make_env, refuse_static_human
 from .errors import ConfigError
-from .evaluate import Evaluator
+from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
 from .runs.record import append_record, record
 

@@ -3,7 +3,7 @@
 1. The policy that ships with agym_jax helps a batch of people, all at once; table, film, pictures.
 2. A policy is trained from scratch for a minute, and its learning curve is drawn.
 
-The environment is compiled once for both (``train.learning.stepwise``), and never again on this machine.
+The environment is compiled once for both (``train.learning.execution``), and never again on this machine.
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ from agym_jax.policy.files import PolicyFiles, find_policy, load_policies
 from .configs import Count, config_for
 from .enjoy import Frame, caption
 from .envs import make_env, vectorize
+from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
+from .learning.execution import StepwiseEnv
 from .learning.rollout import FORCE_KEY
-from .learning.stepwise import StepwiseEnv, evaluate_stepwise
 from .ppo import OnLog, train
 from .runs.progress import for_terminal
 from .runs.result import summary
@@ -155,8 +156,9 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
     say(f"The trained robot helps {config.humans} people, none of whom it has met before.")
     recorder = Recorder()
     key = jax.random.PRNGKey(config.seed + 1000)
-    result = evaluate_stepwise(venv, policy, key, recorder)
-    random = evaluate_stepwise(venv, baseline_policy("random", venv.action_size), key)
+    evaluator = Evaluator(venv, config.humans)
+    result = evaluator(policy, key, watch=recorder)
+    random = evaluator(baseline_policy("random", venv.action_size), key)
     print(result.table())
     print(f"  random actions: return {random.returns.mean():.2f}, success {random.success:.1%}")
     world = typical(result)

@@ -7,69 +7,25 @@ return, mean over the steps of the force on the person, and success at the last 
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
-from agym_jax.policy.agents import TREES, AnyPolicy, baseline_policy
+from agym_jax.policy.agents import AnyPolicy, baseline_policy
 from agym_jax.policy.files import find_policies, load_policies
 
 from .configs import Count
-from .envs import make_env, vectorize
+from .envs import make_env
 from .errors import ConfigError
-from .evaluation.alone import evaluate_alone
-from .evaluation.score import EvaluationResult, add_step, result_of, zero_sums
+from .evaluation.evaluator import Evaluator
+from .evaluation.score import EvaluationResult
 from .runs.record import append_record, record
-
-
-class Evaluator:
-    """Runs a fixed number of episodes; compiles once for all policies of one architecture."""
-
-    def __init__(self, env: Any, num_episodes: int) -> None:
-        self.env = env
-        self._venv = vectorize(env, num_episodes)
-        self._run_policy = jax.jit(self._run, static_argnames="deterministic")
-        self._run_function = jax.jit(self._run, static_argnames=("policy", "deterministic"))
-
-    def __call__(
-        self, policy: AnyPolicy, key: jax.Array, deterministic: bool = True
-    ) -> EvaluationResult:
-        """Run the episodes.
-
-        Args:
-            policy: a ``Policy``, a ``Pair`` of them, or a function
-                ``(obs, key, deterministic) -> action``.
-            key: decides the episodes (and the samples of a policy that is not deterministic).
-            deterministic: take the mode of the policy's distribution.
-        """
-        start = time.perf_counter()
-        run = self._run_policy if isinstance(policy, TREES) else self._run_function
-        sums = jax.device_get(run(policy=policy, key=key, deterministic=deterministic))
-        return result_of(self.env.name, sums, time.perf_counter() - start)
-
-    def _run(self, policy: Any, key: jax.Array, deterministic: bool) -> dict[str, jax.Array]:
-        """Sums over the first episode of each environment."""
-        venv = self._venv
-        key_reset, key_steps = jax.random.split(key)
-        going = jnp.ones(venv.num_envs, jnp.float32)
-
-        def step(carry: tuple, key: jax.Array) -> tuple[tuple, None]:
-            state, going, sums = carry
-            state = venv.step(state, policy(state.obs, key, deterministic))
-            return (state, *add_step(going, sums, state)), None
-
-        keys = jax.random.split(key_steps, self.env.episode_length)
-        start = (venv.reset(key_reset), going, zero_sums(venv.num_envs))
-        (_, _, sums), _ = jax.lax.scan(step, start, keys)
-        return sums
 
 
 def evaluate(
@@ -99,8 +55,6 @@ def evaluate(
     if isinstance(policy, str):
         policy = baseline_policy(policy, env.action_size)
     key = jax.random.PRNGKey(key) if isinstance(key, int) else key
-    if getattr(env, "impl", None) == "native":
-        return evaluate_alone(env, policy, num_episodes, key, deterministic)
     return Evaluator(env, num_episodes)(policy, key, deterministic)
 
 

@@ -1,6 +1,6 @@
 """Train a robot's policy with PPO: ``agym-jax train --env-name ScratchItchJaco-v0``.
 
-Rerunning the same command continues a run that was killed; ``train`` does the same from Python.
+Rerunning the same command resumes an interrupted run; ``train`` does the same from Python.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from agym_jax.policy.policy import Policy
 
 from .configs import PPOConfig
 from .envs import make_env, refuse_active_human
-from .learning.algorithm import OneLearner
+from .learning.agents import Agents
 from .runs.curve import Row
 from .runs.progress import Progress
 from .runs.result import TrainResult
-from .runs.session import Policies, command_line, run_session, settle
+from .runs.session import Policies, command_line, resolve_config, run_session
 
 OnLog = Callable[[Row, Callable[[], Policy]], bool | None]
 
@@ -49,13 +49,13 @@ def train(
         DivergedError: a loss is not finite.
     """
     refuse_active_human(env, config.allow_joint_observation)
-    config, mesh = settle(env, config)
-    algorithm = OneLearner(config, env)
+    config, mesh = resolve_config(env, config)
+    agent = "robot" if len(env.action_sizes) == 1 else "joint"
 
-    def told(row: Row, policies: Callable[[], Policies]) -> bool | None:
-        return on_log(row, lambda: policies()[algorithm.agent]) if on_log else None
+    def on_log_of_one(row: Row, policies: Callable[[], Policies]) -> bool | None:
+        return on_log(row, lambda: policies()[agent]) if on_log else None
 
-    return run_session(env, config, algorithm, mesh, progress, told)
+    return run_session(env, config, Agents(config, env, (agent,)), mesh, progress, on_log_of_one)
 
 
 def main(

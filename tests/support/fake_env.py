@@ -40,6 +40,7 @@ class FakeState:
     metrics: dict[str, jax.Array]
     info: dict[str, Any]
     key: jax.Array
+    privileged_obs: Any = None
 
     def replace(self, **changes: Any) -> FakeState:
         """A copy with some fields changed."""
@@ -156,17 +157,16 @@ class FakeVectorEnv:
     def reset(self, key: jax.Array) -> FakeState:
         """First states."""
         state = jax.vmap(self.env.reset)(jax.random.split(key, self.num_envs))
-        return state.replace(info=self._info(state, state, jnp.zeros(self.num_envs)))
+        return self._observed(state, state, jnp.zeros(self.num_envs))
 
-    def _info(
-        self, state: FakeState, last: FakeState, truncation: jax.Array
-    ) -> dict[str, jax.Array]:
-        """What the environments tell besides; of a clock only if it is hidden from the policies."""
+    def _observed(self, state: FakeState, last: FakeState, truncation: jax.Array) -> FakeState:
+        """The state with what belongs to the end of a step; the clock only if it is privileged."""
         info = {"truncation": truncation, "final_observation": last.obs}
         if not self.env.privileged_obs_size:
-            return info
+            return state.replace(info=info)
         clock = lambda s: s.time[:, None] / self.env.episode_length  # noqa: E731
-        return info | {"privileged_obs": clock(state), "final_privileged_obs": clock(last)}
+        info["final_privileged_obs"] = clock(last)
+        return state.replace(info=info, privileged_obs=clock(state))
 
     def stagger(self, state: FakeState, key: jax.Array) -> FakeState:
         """Spread the environments over the phases of an episode."""
@@ -176,7 +176,8 @@ class FakeVectorEnv:
     def step(self, state: FakeState, action: jax.Array) -> FakeState:
         """One step of all points."""
         assert action.shape == (self.num_envs, self.action_size)
-        after = jax.vmap(self.env.step)(state.replace(info={}), action)
+        bare = state.replace(info={}, privileged_obs=None)
+        after = jax.vmap(self.env.step)(bare, action)
         first = jax.vmap(self.env._first)(after.key)
         kept = {"reward": after.reward, "done": after.done, "metrics": after.metrics}
 
@@ -186,4 +187,4 @@ class FakeVectorEnv:
         ended_by_time = (after.done > 0) & (after.metrics["nan"] == 0)
         truncation = jnp.where(ended_by_time, 1.0, 0.0)  # weakly typed, as an environment's may be
         state = jax.tree.map(choose, first, after).replace(**kept)
-        return state.replace(info=self._info(state, after, truncation))
+        return self._observed(state, after, truncation)

@@ -131,7 +131,8 @@ def add_step(
         "nan": metrics.get("nan", zero),
         "overflow": metrics.get("overflow", zero),
     }
-    sums = {name: sums[name] + going * gain for name, gain in gains.items()}
+    # not a product: what comes after a failure may not be finite
+    sums = {name: sums[name] + jnp.where(going > 0, gain, 0.0) for name, gain in gains.items()}
     return going * (1 - state.done), sums
 
 

@@ -1,8 +1,8 @@
-"""Two learners: the robot and the person, each with a policy, value, optimiser and statistics.
+"""Who learns: one agent that sees and moves all there is, or robot and human side by side.
 
-They share the environments, the random key's tree and the reward, nothing else. A policy reads its own
-columns of the observation. The value functions read, in training, what nobody observes besides, and
-with a central critic the other's columns too.
+Several agents share the environments, the random key's tree and the reward, nothing else: each has a policy, value
+function, optimiser and statistics of its own. A policy reads its own columns of the observation. The value
+functions read, in training, what is privileged besides, and with a central critic the others' columns too.
 """
 
 from __future__ import annotations
@@ -22,24 +22,30 @@ from agym_jax.policy.check import check_policy
 from agym_jax.policy.networks import Architecture, make_networks, mode_action, sample_action
 from agym_jax.policy.policy import Policy, read_policy
 
-from ..configs import CoopConfig
-from ..runs.checkpoint import tree_to_arrays
-from .algorithm import policy_of, privileged_obs_size, shape_of
-from .ppo import LOSSES, LearnerState, architecture, batch_steps, init_learner, learn
+from ..configs import LearnConfig
+from .ppo import (
+    LOSSES,
+    AgentState,
+    Hyper,
+    architecture,
+    batch_steps,
+    init_agent,
+    learn,
+)
 from .rollout import Batch
 
-AGENTS = ("robot", "human")
+STARTING = ("init_noise_std", "policy_head_gain")  # of an architecture; matter at the start only
 
 
 @dataclass(frozen=True)
 class Agent:
-    """One of the two.
+    """One of those who act.
 
     Attributes:
-        name: "robot" or "person".
+        name: "robot", "human", or "joint" for one policy that moves both.
         part: what it sees and moves.
         arch: its networks.
-        critic_columns: columns that its value function reads, of the whole observation and what is hidden.
+        critic_columns: columns that its value function reads, of the whole observation and what is privileged.
         start: the policy that it begins with; None = a new one.
         frozen: whether it stays at that.
     """
@@ -52,7 +58,7 @@ class Agent:
     frozen: bool
 
     @property
-    def value_size(self) -> int | None:
+    def critic_size(self) -> int | None:
         """How many columns its value function reads; None if just its own."""
         own = tuple(range(self.part.observed.start, self.part.observed.stop))
         return None if self.critic_columns == own else len(self.critic_columns)
@@ -60,116 +66,88 @@ class Agent:
     @property
     def networks(self) -> Any:
         """From ``make_networks``."""
-        return make_networks(self.arch, self.value_size)
+        return make_networks(self.arch, self.critic_size)
 
     def view(self, batch: Batch) -> Batch:
         """What it learns from: its own columns, and what its value function reads."""
-        all_obs = batch.obs if batch.value_obs is None else batch.value_obs
+        read = None if self.critic_size is None else self.critic_view(batch.critic_obs)
         return replace(
             batch,
             obs=batch.obs[..., self.part.observed],
             raw_action=batch.raw_action[..., self.part.acted],
             log_prob=batch.log_prob[self.name],
-            final_observation=self.of(batch.final_observation),
-            value_obs=None if self.value_size is None else self.of(all_obs),
+            final_critic_obs=self.critic_view(batch.final_critic_obs),
+            critic_obs=read,
         )
 
-    def of(self, all_obs: jax.Array) -> jax.Array:
-        """The columns that its value function reads."""
+    def critic_view(self, all_obs: Any) -> jax.Array:
+        """The columns that its value function reads (..., critic observation)."""
+        first, last = self.critic_columns[0], self.critic_columns[-1]
+        if len(self.critic_columns) == last + 1 - first:
+            return all_obs[..., first : last + 1]
         return all_obs[..., np.array(self.critic_columns)]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class TeamState:
+class LearnerState:
     """All that learning needs to go on; exactly this is saved in a checkpoint."""
 
-    members: dict[str, LearnerState]  # by agent; their own keys lie idle
+    agents: dict[str, AgentState]
     key: jax.Array
 
     @property
     def env_steps(self) -> jax.Array:
         """Environment steps so far    ()."""
-        return self.members["robot"].env_steps
+        return next(iter(self.agents.values())).env_steps
 
 
-def make_agent(config: CoopConfig, env: Any, name: str) -> Agent:
-    """One agent as a configuration wants it.
+class Agents:
+    """PPO of one or several agents: pure functions of a ``LearnerState``.
+
+    Args:
+        config: resolved settings.
+        env: says how large observations and actions are, and who acts.
+        names: of the agents, in the order of their actions.
+
+    Attributes:
+        trainer: the command that trains so, as in files and messages.
+        losses: names of the scalars that ``learn`` returns.
 
     Raises:
         PolicyNotFoundError: there is no such file to start from.
         PolicyEnvironmentError: its policy is of another task, robot or agent.
         PolicyLayoutError: its policy reads another observation layout.
     """
-    part = parts(env)[name]
-    arch = architecture(config, *part.sizes)
-    path = getattr(config, f"{name}_policy")
-    start = None if path is None else read_policy(path)
-    if start is not None:
-        check_policy(start, env, path, agent=name)
-        arch = replace(start.arch, value_hidden=arch.value_hidden)
-    whole, size = range(env.observation_size), env.observation_size
-    critic_columns = (
-        *(whole if config.central_critic else whole[part.observed]),
-        *range(size, size + privileged_obs_size(config, env)),
-    )
-    return Agent(name, part, arch, critic_columns, start, getattr(config, f"freeze_{name}"))
 
-
-def start_from(learner: LearnerState, policy: Policy) -> LearnerState:
-    """A new learner that acts, and has seen observations, as a policy did."""
-    count = max(1, int(policy.info.get("env_steps", 1)))
-    normalizer: Any = learner.normalizer
-    normalizer = normalizer.replace(
-        count=UInt64(hi=jnp.uint32(0), lo=jnp.uint32(count)),
-        mean=policy.mean,
-        summed_variance=policy.std**2 * count,
-        std=policy.std,
-    )
-    params: Any = learner.params
-    return replace(learner, params=params.replace(policy=policy.weights), normalizer=normalizer)
-
-
-def fingerprint(policy: Policy) -> str:
-    """Short hash of what decides a policy's actions."""
-    arrays = tree_to_arrays([policy.weights, policy.mean, policy.std])
-    content = b"".join(name.encode() + np.asarray(a).tobytes() for name, a in arrays.items())
-    return hashlib.sha256(content).hexdigest()[:12]
-
-
-class TwoLearners:
-    """PPO of both agents at once; see ``train.learning.algorithm.Algorithm``.
-
-    Args:
-        config: resolved settings.
-        env: an environment in which both act.
-    """
-
-    trainer = "coop"
-
-    def __init__(self, config: CoopConfig, env: Any) -> None:
+    def __init__(self, config: LearnConfig, env: Any, names: tuple[str, ...]) -> None:
         self.config = config
-        self.agents = [make_agent(config, env, name) for name in AGENTS]
+        self.agents = [_make_agent(config, env, name) for name in names]
+        self.trainer = "ppo" if len(names) == 1 else "coop"
         learning = [agent.name for agent in self.agents if not agent.frozen]
-        self.losses = tuple(f"{name}/{loss}" for name in learning for loss in LOSSES)
+        self.losses = tuple(self._loss(name, loss) for name in learning for loss in LOSSES)
 
-    def init(self, key: jax.Array) -> TeamState:
-        """Two learners that have seen nothing, but for the policies that they start from."""
-        key, *keys = jax.random.split(key, 1 + len(self.agents))
-        members = {}
-        for agent, key_agent in zip(self.agents, keys, strict=True):
-            member = init_learner(self.config, agent.arch, key_agent, agent.value_size)
-            members[agent.name] = start_from(member, agent.start) if agent.start else member
-        return TeamState(members, key)
+    def init(self, key: jax.Array) -> LearnerState:
+        """Agents that have seen nothing, but for the policies that they start from."""
+        key, *keys = self._split(key, 1)
+        states = {}
+        for agent, key_agent in zip(self.agents, keys or [key], strict=True):
+            state, rest = init_agent(agent.arch, key_agent, agent.critic_size)
+            states[agent.name] = _start_from(state, agent.start) if agent.start else state
+            key = key if keys else rest
+        return LearnerState(states, key)
 
     def act(
-        self, learner: TeamState, obs: jax.Array, key: jax.Array
+        self, learner: LearnerState, obs: jax.Array, key: jax.Array
     ) -> tuple[jax.Array, jax.Array, dict[str, jax.Array]]:
-        """Each acts by what it sees itself; a frozen one by the mode of its distribution."""
+        """Actions, raw samples and log-probabilities by agent, for observations (B, observation).
+
+        Each acts by what it sees itself; a frozen one by the mode of its distribution.
+        """
         actions, raws, log_probs = [], [], {}
-        for agent, key_agent in zip(self.agents, jax.random.split(key), strict=True):
-            member, own = learner.members[agent.name], obs[..., agent.part.observed]
-            known = (agent.networks, member.normalizer, member.params.policy, own)
+        for agent, key_agent in zip(self.agents, self._split(key), strict=True):
+            state, own = learner.agents[agent.name], obs[..., agent.part.observed]
+            known = (agent.networks, state.normalizer, state.params.policy, own)
             if agent.frozen:
                 action = raw = mode_action(*known)
                 log_prob = jnp.zeros(own.shape[:-1])
@@ -182,50 +160,119 @@ class TwoLearners:
 
     def learn(
         self,
-        learner: TeamState,
+        learner: LearnerState,
         batch: Batch,
         last: jax.Array,
         key: jax.Array,
-        total_steps: jax.Array,
+        hyper: Hyper,
         axis: str | None = None,
-    ) -> tuple[TeamState, dict[str, jax.Array]]:
-        """One update of each who learns."""
-        members, losses = {}, {}
-        for agent, key_agent in zip(self.agents, jax.random.split(key), strict=True):
-            member = learner.members[agent.name]
+    ) -> tuple[LearnerState, dict[str, jax.Array]]:
+        """One update of each agent that learns.
+
+        Args:
+            learner: before it.
+            batch: as collected.
+            last: ``train.learning.rollout.critic_obs`` of the environments after it    (B, all).
+            key: random key.
+            hyper: hyper-parameters.
+            axis: name of the axis of devices that each have a part of the batch.
+        """
+        states, losses = {}, {}
+        for agent, key_agent in zip(self.agents, self._split(key), strict=True):
+            state = learner.agents[agent.name]
             if agent.frozen:
-                steps = member.env_steps + jnp.uint32(batch_steps(batch, axis))
-                members[agent.name] = replace(member, env_steps=steps)
+                steps = state.env_steps + jnp.uint32(batch_steps(batch, axis))
+                states[agent.name] = replace(state, env_steps=steps)
                 continue
-            members[agent.name], scalars = learn(
-                member,
+            states[agent.name], scalars = learn(
+                state,
                 agent.view(batch),
-                agent.of(last),
+                agent.critic_view(last),
                 key_agent,
+                hyper,
                 self.config,
                 agent.networks,
-                total_steps,
                 axis,
             )
-            losses |= {f"{agent.name}/{name}": value for name, value in scalars.items()}
-        return replace(learner, members=members), losses
+            losses |= {self._loss(agent.name, name): value for name, value in scalars.items()}
+        return replace(learner, agents=states), losses
 
-    def policies(self, learner: TeamState, info: Mapping[str, Any]) -> dict[str, Policy]:
-        """The present policies; a frozen one as it came."""
+    def policies(self, learner: LearnerState, info: Mapping[str, Any]) -> dict[str, Policy]:
+        """The present policies by agent; a frozen one as it came.
+
+        Args:
+            learner: state.
+            info: what their files tell of the run.
+        """
         found = {}
         for agent in self.agents:
+            state, frozen = learner.agents[agent.name], agent.start if agent.frozen else None
             about = {**info, "agent": agent.name, "layout": agent.part.layout}
-            member = learner.members[agent.name]
-            frozen = agent.start if agent.frozen else None
-            found[agent.name] = frozen or policy_of(member, agent.arch, about)
+            about["env_steps"] = int(state.env_steps)
+            mean, std = jnp.asarray(state.normalizer.mean), jnp.asarray(state.normalizer.std)
+            policy = Policy(state.params.policy, mean, std, agent.arch, about)
+            found[agent.name] = frozen or policy
         return found
 
-    def belongs(self) -> dict[str, Any]:
-        """What a checkpoint must agree in: networks, the critic, and what is frozen."""
-        agreed: dict[str, Any] = {"central_critic": self.config.central_critic}
+    def compatibility(self) -> dict[str, Any]:
+        """Name -> value of what a checkpoint must agree in, besides the environment, for JSON."""
+        agreed: dict[str, Any] = {"central_critic": getattr(self.config, "central_critic", False)}
         for agent in self.agents:
-            agreed[f"{agent.name}.value_size"] = agent.value_size
-            agreed |= {f"{agent.name}.{k}": v for k, v in shape_of(agent.arch).items()}
-            kept = fingerprint(agent.start) if agent.frozen and agent.start else None
-            agreed[f"{agent.name}.frozen_policy"] = kept
+            agreed[f"{agent.name}.critic_size"] = agent.critic_size
+            for name, value in vars(agent.arch).items():
+                if name not in STARTING:
+                    kept = list(value) if isinstance(value, tuple) else value
+                    agreed[f"{agent.name}.{name}"] = kept
+            start = agent.start if agent.frozen else None
+            agreed[f"{agent.name}.frozen_policy"] = start and fingerprint(start)
         return agreed
+
+    def _split(self, key: jax.Array, more: int = 0) -> Any:
+        """A key for each agent, and ``more``; a single agent has the key itself."""
+        count = len(self.agents)
+        return [key] if count == 1 else jax.random.split(key, count + more)
+
+    def _loss(self, agent: str, name: str) -> str:
+        """Name of a loss in the curve."""
+        return name if len(self.agents) == 1 else f"{agent}/{name}"
+
+
+def _make_agent(config: LearnConfig, env: Any, name: str) -> Agent:
+    """One agent as a configuration wants it."""
+    part = parts(env)[name]
+    arch = architecture(config, *part.sizes)
+    path = getattr(config, f"{name}_policy", None)
+    start = None if path is None else read_policy(path)
+    if start is not None:
+        check_policy(start, env, path, agent=name)
+        arch = replace(start.arch, value_hidden=arch.value_hidden)
+    size = env.observation_size
+    privileged = getattr(env, "privileged_obs_size", 0) if config.privileged_critic else 0
+    central = getattr(config, "central_critic", False)
+    own = range(size) if central else range(size)[part.observed]
+    critic_columns = (*own, *range(size, size + privileged))
+    return Agent(name, part, arch, critic_columns, start, getattr(config, f"freeze_{name}", False))
+
+
+def _start_from(state: AgentState, policy: Policy) -> AgentState:
+    """A new agent that acts, and has seen observations, as a policy did."""
+    count = max(1, int(policy.info.get("env_steps", 1)))
+    normalizer: Any = state.normalizer
+    normalizer = normalizer.replace(
+        count=UInt64(hi=jnp.uint32(0), lo=jnp.uint32(count)),
+        mean=policy.mean,
+        summed_variance=policy.std**2 * count,
+        std=policy.std,
+    )
+    params: Any = state.params
+    return replace(state, params=params.replace(policy=policy.weights), normalizer=normalizer)
+
+
+def fingerprint(policy: Policy) -> str:
+    """Short hash of what decides a policy's actions."""
+    leaves = jax.tree_util.tree_leaves_with_path([policy.weights, policy.mean, policy.std])
+    names = [jax.tree_util.keystr(path, simple=True, separator="/") for path, _ in leaves]
+    content = (
+        name.encode() + np.asarray(x).tobytes() for name, (_, x) in zip(names, leaves, strict=True)
+    )
+    return hashlib.sha256(b"".join(content)).hexdigest()[:12]

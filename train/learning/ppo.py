@@ -1,28 +1,34 @@
-"""The PPO learner of one agent: state, loss, and what one update does with one rollout.
+"""PPO of one agent: its state, generalised advantage estimation, the loss, and one update from one rollout.
 
-Everything here is pure. An update is generalised advantage estimation with the values of before
-it, and ``ppo_epoch`` passes of mini-batch gradient steps. Where several devices share the environments
-(``axis``), each has a part of the batch; gradients and statistics are those of all of it.
+Everything here is pure. An update estimates advantages with the values of before it, then makes ``ppo_epoch``
+passes of mini-batch gradient steps. Where several devices share the environments (``axis``), each has a part of
+the batch; gradients and statistics are those of all of it.
+
+DEVIATION(time-limit-bootstrap): Assistive Gym's trainer takes the time limit for a terminal state. Its episodes
+end by their time limit, which says nothing about what the state is worth, so a truncated step bootstraps here
+with the value of the true last observation.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import PPONetworkParams
 
 from agym_jax.jax_settings import full_precision
 from agym_jax.policy.networks import STD_MIN, Architecture, init_policy, make_networks
+from agym_jax.state import strong
 
 from ..configs import LearnConfig
-from .advantage import compute_gae, values_of
-from .rollout import Batch, strong_types
+from .rollout import Batch
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
 LOSSES = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction", "noise_std")
@@ -30,17 +36,64 @@ LOSSES = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction", "noise_
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class LearnerState:
-    """All that learning needs to go on; exactly this is saved in a checkpoint."""
+class Hyper:
+    """Hyper-parameters that are arguments of the compiled update, each float32 (): others compile nothing anew."""
+
+    lr: Any
+    lr_decays: Any  # 1: the learning rate falls to 0 over the run
+    total_steps: Any  # environment steps at which what falls has fallen
+    gamma: Any
+    gae_discount: Any  # gamma times lambda
+    clip_param: Any
+    ratio_low: Any  # 1 - clip_param
+    ratio_high: Any  # 1 + clip_param
+    value_loss_coef: Any
+    entropy_coef: Any
+    entropy_fade: Any  # 1 over the share of the run in which the entropy bonus fades; 0: it stays
+    max_grad_norm: Any
+    eps: Any
+    reward_scaling: Any
+
+    @classmethod
+    def of(cls, config: LearnConfig, total_steps: float) -> Hyper:
+        """Those of a configuration.
+
+        Args:
+            config: resolved settings.
+            total_steps: of the run.
+        """
+        share = np.float32(config.entropy_decay_share)
+        values = {
+            "lr": config.lr,
+            "lr_decays": config.use_linear_lr_decay,
+            "total_steps": total_steps,
+            "gamma": config.gamma,
+            "gae_discount": config.gamma * config.gae_lambda,
+            "clip_param": config.clip_param,
+            "ratio_low": 1 - config.clip_param,
+            "ratio_high": 1 + config.clip_param,
+            "value_loss_coef": config.value_loss_coef,
+            "entropy_coef": config.entropy_coef,
+            "entropy_fade": np.float32(1) / share if share else 0.0,
+            "max_grad_norm": config.max_grad_norm,
+            "eps": config.eps,
+            "reward_scaling": config.reward_scaling,
+        }
+        return cls(**{name: np.float32(value) for name, value in values.items()})
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class AgentState:
+    """All that the learning of one agent needs to go on, but for random keys."""
 
     params: PPONetworkParams
     optimizer: optax.OptState
     normalizer: running_statistics.RunningStatisticsState  # of the observation
     returns: running_statistics.RunningStatisticsState  # of the discounted return
-    key: jax.Array
     env_steps: jax.Array  # environment steps so far; the learning rate follows it    ()
     updates: jax.Array  # updates so far    ()
-    value_normalizer: Any = None  # of what the value function reads; None where that is the same
+    critic_normalizer: Any = None  # of what the value function reads; None where that is the same
 
 
 def architecture(config: LearnConfig, observation_size: int, action_size: int) -> Architecture:
@@ -57,43 +110,90 @@ def architecture(config: LearnConfig, observation_size: int, action_size: int) -
     )
 
 
-def make_optimizer(config: LearnConfig) -> optax.GradientTransformation:
-    """Gradient clipping and Adam, without the learning rate."""
-    return optax.chain(
-        optax.clip_by_global_norm(config.max_grad_norm), optax.scale_by_adam(eps=config.eps)
-    )
+def make_optimizer(max_grad_norm: Any = 0.5, eps: Any = 1e-5) -> optax.GradientTransformation:
+    """Gradient clipping and Adam, without the learning rate; its state is the same for all arguments."""
+    return optax.chain(optax.clip_by_global_norm(max_grad_norm), optax.scale_by_adam(eps=eps))
 
 
-def init_learner(
-    config: LearnConfig, arch: Architecture, key: jax.Array, value_size: int | None = None
-) -> LearnerState:
-    """A learner that has seen nothing.
+def init_agent(
+    arch: Architecture, key: jax.Array, critic_size: int | None = None
+) -> tuple[AgentState, jax.Array]:
+    """An agent that has seen nothing, and a random key for what comes after.
 
     Args:
-        config: settings.
         arch: networks.
         key: random key.
-        value_size: size of what the value function reads; None if it reads what the policy reads.
+        critic_size: size of what the value function reads; None if it reads what the policy reads.
     """
-    networks = make_networks(arch, value_size)
+    networks = make_networks(arch, critic_size)
     key_policy, key_value, key = jax.random.split(key, 3)
     params: Any = PPONetworkParams(
         policy=init_policy(networks, arch, key_policy),
         value=networks.value_network.init(key_value),
     )
-    learner = LearnerState(
+    statistics = running_statistics.init_state
+    agent = AgentState(
         params=params,
-        optimizer=make_optimizer(config).init(params),
-        normalizer=running_statistics.init_state(jnp.zeros(arch.observation_size)),
-        returns=running_statistics.init_state(jnp.zeros(())),
-        key=key,
+        optimizer=make_optimizer().init(params),
+        normalizer=statistics(jnp.zeros(arch.observation_size)),
+        returns=statistics(jnp.zeros(())),
         env_steps=jnp.zeros((), jnp.uint32),
         updates=jnp.zeros((), jnp.int32),
-        value_normalizer=None
-        if value_size is None
-        else running_statistics.init_state(jnp.zeros(value_size)),
+        critic_normalizer=None if critic_size is None else statistics(jnp.zeros(critic_size)),
     )
-    return strong_types(learner)
+    return strong(agent), key
+
+
+def compute_gae(
+    rewards: jax.Array,
+    values: jax.Array,
+    next_values: jax.Array,
+    done: jax.Array,
+    gamma: jax.Array | float,
+    gae_discount: jax.Array | float,
+) -> jax.Array:
+    """Generalised advantage estimation.
+
+    Args:
+        rewards: reward of each step    (T, B).
+        values: value of the observation that each step started from    (T, B).
+        next_values: value of what each step led to, before any reset: 0 after a termination, the
+            value of the last observation after a truncation    (T, B).
+        done: 1 where an episode ended, either way    (T, B).
+        gamma: discount.
+        gae_discount: gamma times lambda.
+
+    Returns:
+        Advantages (T, B); advantages + values are the targets of the value function.
+    """
+    deltas = rewards + gamma * next_values - values
+
+    def back(advantage: jax.Array, step: tuple) -> tuple[jax.Array, jax.Array]:
+        delta, done = step
+        advantage = delta + gae_discount * (1 - done) * advantage
+        return advantage, advantage
+
+    _, advantages = jax.lax.scan(back, jnp.zeros_like(deltas[0]), (deltas, done), reverse=True)
+    return advantages
+
+
+def values_of(
+    value: Callable[[jax.Array], jax.Array], batch: Batch, last: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Values that the steps of a batch started from and led to.
+
+    Args:
+        value: value function, (..., critic observation) -> (...).
+        batch: a rollout of T steps of B environments, in the agent's own view.
+        last: what the value function reads after the rollout    (B, critic observation).
+
+    Returns:
+        ``values`` and ``next_values`` of ``compute_gae``    (T, B) each.
+    """
+    read = batch.obs if batch.critic_obs is None else batch.critic_obs
+    values = value(jnp.concatenate([read, last[None]]))
+    final = jnp.where(batch.truncation > 0, value(batch.final_critic_obs), 0.0)
+    return values[:-1], jnp.where(batch.done > 0, final, values[1:])
 
 
 def ppo_loss(
@@ -101,10 +201,11 @@ def ppo_loss(
     normalizer: Any,
     data: dict[str, jax.Array],
     key: jax.Array,
-    config: LearnConfig,
+    hyper: Hyper,
     networks: Any,
     entropy_coef: float | jax.Array,
-    value_normalizer: Any = None,
+    clip_value_loss: bool,
+    critic_normalizer: Any = None,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Clipped surrogate, (clipped) value loss and entropy bonus of one mini-batch.
 
@@ -112,12 +213,13 @@ def ppo_loss(
         params: parameters to differentiate.
         normalizer: observation statistics the data were collected with.
         data: ``obs, raw_action, log_prob, advantage, value, target``, each (N, ...), and
-            ``value_obs`` where there is a ``value_normalizer``.
+            ``critic_obs`` where there is a ``critic_normalizer``.
         key: random key (the entropy of a squashed Gaussian is sampled).
-        config: settings.
+        hyper: hyper-parameters.
         networks: from ``make_networks``.
         entropy_coef: weight of the entropy, now.
-        value_normalizer: statistics of ``value_obs``; None if the value function reads ``obs``.
+        clip_value_loss: whether the change of the value prediction is clipped too.
+        critic_normalizer: statistics of ``critic_obs``; None if the value function reads ``obs``.
 
     Returns:
         The loss, and the scalars named in ``LOSSES``.
@@ -126,28 +228,28 @@ def ppo_loss(
     logits = networks.policy_network.apply(normalizer, params.policy, data["obs"])
     log_ratio = distribution.log_prob(logits, data["raw_action"]) - data["log_prob"]
     ratio = jnp.exp(log_ratio)
-    clipped = jnp.clip(ratio, 1 - config.clip_param, 1 + config.clip_param)
+    clipped = jnp.clip(ratio, hyper.ratio_low, hyper.ratio_high)
     advantage = data["advantage"]
     policy_loss = -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
 
-    seen = (normalizer, data["obs"])
-    if value_normalizer is not None:
-        seen = (value_normalizer, data["value_obs"])
-    value = networks.value_network.apply(seen[0], params.value, seen[1])
+    read = (normalizer, data["obs"])
+    if critic_normalizer is not None:
+        read = (critic_normalizer, data["critic_obs"])
+    value = networks.value_network.apply(read[0], params.value, read[1])
     error = (value - data["target"]) ** 2
-    if config.clip_value_loss:
-        change = jnp.clip(value - data["value"], -config.clip_param, config.clip_param)
+    if clip_value_loss:
+        change = jnp.clip(value - data["value"], -hyper.clip_param, hyper.clip_param)
         error = jnp.maximum(error, (data["value"] + change - data["target"]) ** 2)
     value_loss = 0.5 * jnp.mean(error)
 
     entropy = jnp.mean(distribution.entropy(logits, key))
-    loss = policy_loss + config.value_loss_coef * value_loss - entropy_coef * entropy
+    loss = policy_loss + hyper.value_loss_coef * value_loss - entropy_coef * entropy
     scalars = {
         "policy_loss": policy_loss,
         "value_loss": value_loss,
         "entropy": entropy,
         "kl": jnp.mean(ratio - 1 - log_ratio),
-        "clip_fraction": jnp.mean(jnp.abs(ratio - 1) > config.clip_param),
+        "clip_fraction": jnp.mean(jnp.abs(ratio - 1) > hyper.clip_param),
         "noise_std": jnp.mean(distribution.create_dist(logits).scale),
     }
     return loss, scalars
@@ -160,52 +262,47 @@ def batch_steps(batch: Batch, axis: str | None) -> int:
 
 @full_precision
 def learn(
-    learner: LearnerState,
+    agent: AgentState,
     batch: Batch,
-    last_obs: jax.Array,
+    last: jax.Array,
     key: jax.Array,
+    hyper: Hyper,
     config: LearnConfig,
     networks: Any,
-    total_steps: jax.Array,
     axis: str | None = None,
-) -> tuple[LearnerState, dict[str, jax.Array]]:
+) -> tuple[AgentState, dict[str, jax.Array]]:
     """One update from one rollout.
 
     Args:
-        learner: state before.
-        batch: rollout of (T, B).
-        last_obs: what the value function reads after it    (B, observation).
+        agent: state before.
+        batch: rollout of (T, B), in the agent's own view.
+        last: what the value function reads after it    (B, critic observation).
         key: random key.
-        config: settings.
+        hyper: hyper-parameters.
+        config: settings that the program is compiled for: passes, mini-batches, what is normalised.
         networks: from ``make_networks``.
-        total_steps: environment steps at which what fades has faded, float32    ().
         axis: name of the axis of devices that each have a part of the batch.
 
     Returns:
-        State after (``key`` untouched) and the mean of each of ``LOSSES``.
+        State after, and the mean of each of ``LOSSES``.
     """
 
     def mean(tree: Any) -> Any:
         return tree if axis is None else jax.lax.pmean(tree, axis)
 
-    stats_returns, reward = learner.returns, batch.reward
+    returns, reward = agent.returns, batch.reward
     if config.normalize_reward:
-        stats_returns = running_statistics.update(
-            stats_returns, batch.discounted, pmap_axis_name=axis
-        )
-        spread: Any = stats_returns.std
-        std = jnp.sqrt(spread**2 + 1e-8)
+        returns = running_statistics.update(returns, batch.discounted, pmap_axis_name=axis)
+        deviation: Any = returns.std
+        std = jnp.sqrt(deviation**2 + 1e-8)
         reward = jnp.clip(reward / std, -REWARD_CLIP, REWARD_CLIP)
 
-    statistics = learner.value_normalizer or learner.normalizer
-
-    def value_fn(obs: jax.Array) -> jax.Array:
-        return networks.value_network.apply(statistics, learner.params.value, obs)
-
-    value_obs = batch.obs if batch.value_obs is None else batch.value_obs
-    values, next_values = values_of(value_fn, replace(batch, obs=value_obs), last_obs)
+    statistics = agent.critic_normalizer or agent.normalizer
+    values, next_values = values_of(
+        lambda obs: networks.value_network.apply(statistics, agent.params.value, obs), batch, last
+    )
     advantage = compute_gae(
-        reward, values, next_values, batch.done, config.gamma, config.gae_lambda
+        reward, values, next_values, batch.done, hyper.gamma, hyper.gae_discount
     )
     centred = advantage - mean(advantage.mean())
     data = {
@@ -216,17 +313,14 @@ def learn(
         "target": advantage + values,
         "advantage": centred / (jnp.sqrt(mean(jnp.mean(centred**2))) + 1e-5),
     }
-    if batch.value_obs is not None:
-        data["value_obs"] = batch.value_obs
+    if batch.critic_obs is not None:
+        data["critic_obs"] = batch.critic_obs
     size = reward.size
     data = {name: leaf.reshape(size, *leaf.shape[2:]) for name, leaf in data.items()}
-    optimizer = make_optimizer(config)
-    progress = learner.env_steps.astype(jnp.float32) / total_steps
-    left = jnp.maximum(0.0, 1.0 - progress)
-    rate = config.lr * (left if config.use_linear_lr_decay else 1.0)
-    entropy_coef = jnp.float32(config.entropy_coef)
-    if config.entropy_decay_share:
-        entropy_coef *= jnp.maximum(0.0, 1.0 - progress / config.entropy_decay_share)
+    optimizer = make_optimizer(hyper.max_grad_norm, hyper.eps)
+    progress = agent.env_steps.astype(jnp.float32) / hyper.total_steps
+    rate = hyper.lr * jnp.where(hyper.lr_decays > 0, jnp.maximum(0.0, 1.0 - progress), 1.0)
+    entropy_coef = hyper.entropy_coef * jnp.maximum(0.0, 1.0 - progress * hyper.entropy_fade)
     gradient = jax.grad(ppo_loss, has_aux=True)
 
     def step(carry: tuple, item: tuple) -> tuple[tuple, dict[str, jax.Array]]:
@@ -234,8 +328,8 @@ def learn(
         rows, key = item
         part = {name: leaf[rows] for name, leaf in data.items()}
         grads, scalars = gradient(
-            params, learner.normalizer, part, key, config, networks, entropy_coef,
-            learner.value_normalizer,
+            params, agent.normalizer, part, key, hyper, networks, entropy_coef,
+            config.clip_value_loss, agent.critic_normalizer,
         )  # fmt: skip
         changes, state = optimizer.update(mean(grads), state)
         params = jax.tree.map(lambda p, c: p - rate * c, params, changes)
@@ -247,21 +341,21 @@ def learn(
         return jax.lax.scan(step, carry, (order, jax.random.split(key_steps, len(order))))
 
     (params, state), scalars = jax.lax.scan(
-        epoch, (learner.params, learner.optimizer), jax.random.split(key, config.ppo_epoch)
+        epoch, (agent.params, agent.optimizer), jax.random.split(key, config.ppo_epoch)
     )
-    normalizer, value_normalizer = learner.normalizer, learner.value_normalizer
+    normalizer, critic_normalizer = agent.normalizer, agent.critic_normalizer
     if config.normalize_observations:
         update = partial(running_statistics.update, std_min_value=STD_MIN, pmap_axis_name=axis)
         normalizer = update(normalizer, batch.obs)
-        value_normalizer = value_normalizer and update(value_normalizer, batch.value_obs)
-    learner = replace(
-        learner,
+        critic_normalizer = critic_normalizer and update(critic_normalizer, batch.critic_obs)
+    agent = replace(
+        agent,
         params=params,
         optimizer=state,
         normalizer=normalizer,
-        returns=stats_returns,
-        env_steps=learner.env_steps + jnp.uint32(batch_steps(batch, axis)),
-        updates=learner.updates + 1,
-        value_normalizer=value_normalizer,
+        returns=returns,
+        env_steps=agent.env_steps + jnp.uint32(batch_steps(batch, axis)),
+        updates=agent.updates + 1,
+        critic_normalizer=critic_normalizer,
     )
-    return learner, mean({name: jnp.mean(value) for name, value in scalars.items()})
+    return agent, mean({name: jnp.mean(value) for name, value in scalars.items()})

@@ -1,4 +1,4 @@
-"""Collecting experience: a scan over steps of all environments, with episode totals kept on the device."""
+"""Collecting experience: steps of all environments, with episode totals kept on the device."""
 
 from __future__ import annotations
 
@@ -9,8 +9,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from agym_jax.state import strong
+
+from .execution import ONE_PROGRAM, Execution
+
 FORCE_KEY = "force/on_human"
 EPISODE_TOTALS = ("episodes", "return", "return_squared", "success", "force", "length")
+Totals = dict[str, jax.Array]
 
 
 @jax.tree_util.register_dataclass
@@ -29,32 +34,33 @@ class RolloutState:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Batch:
-    """What one rollout leaves for learning; all leaves begin with (T, B)."""
+    """What one rollout leaves for learning; all leaves begin with (T, B).
+
+    As collected, ``critic_obs`` is the observation and then what is privileged, and ``log_prob`` has an entry for
+    each agent. In an agent's own view, they are its own.
+    """
 
     obs: jax.Array  # (T, B, observation)
     raw_action: jax.Array  # (T, B, action)
-    log_prob: Any  # (T, B); where two learn, of each by its name
+    log_prob: Any  # (T, B)
     reward: jax.Array  # scaled by reward_scaling    (T, B)
     discounted: jax.Array  # discounted return of the episode up to this step    (T, B)
     done: jax.Array  # (T, B)
     truncation: jax.Array  # (T, B)
-    final_observation: (
-        jax.Array
-    )  # as value_obs, last of an episode, where done    (T, B, value observation)
-    value_obs: jax.Array | None = (
-        None  # what the value function reads, if not obs; as collected, the
-    )
-    # observation and then what is hidden    (T, B, value observation)
+    final_critic_obs: jax.Array  # the last of an episode, where done    (T, B, critic observation)
+    critic_obs: (
+        jax.Array | None
+    )  # None where the value function reads obs    (T, B, critic observation)
 
 
 def with_privileged(obs: jax.Array, privileged_obs: jax.Array | None) -> jax.Array:
-    """An observation, and what nobody observes, where the environment tells it (..., both)."""
+    """An observation, and what nobody observes, where there is any (..., both)."""
     return obs if privileged_obs is None else jnp.concatenate([obs, privileged_obs], -1)
 
 
 def critic_obs(env_state: Any) -> jax.Array:
-    """What a value function could read of the environments (B, observation + hidden)."""
-    return with_privileged(env_state.obs, env_state.info.get("privileged_obs"))
+    """What a value function could read of the environments (B, observation + privileged)."""
+    return with_privileged(env_state.obs, env_state.privileged_obs)
 
 
 def init_rollout(venv: Any, key: jax.Array, stagger: bool) -> RolloutState:
@@ -72,25 +78,11 @@ def init_rollout(venv: Any, key: jax.Array, stagger: bool) -> RolloutState:
     staggered = stagger and hasattr(venv, "stagger")
     if staggered:
         state = venv.stagger(state, key_stagger)
-    state = strong_types(state)
-    return RolloutState(state, zeros, zeros, zeros, zeros, zeros if staggered else zeros + 1)
+    counted = zeros if staggered else zeros + 1
+    return RolloutState(strong(state), zeros, zeros, zeros, zeros, counted)
 
 
-def strong_types(tree: Any) -> Any:
-    """The tree with the types that its leaves have after a loop, so that nothing compiles twice.
-
-    ``jnp.where(x, 1.0, 0.0)`` is "weakly" float32, which a compiled function tells from float32.
-    """
-
-    def strong(leaf: Any) -> Any:
-        leaf = jnp.asarray(leaf)
-        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.extended)
-        return leaf if is_key else jnp.asarray(leaf, leaf.dtype)
-
-    return jax.tree.map(strong, tree)
-
-
-def zero_totals(env_state: Any) -> dict[str, jax.Array]:
+def zero_totals(env_state: Any) -> Totals:
     """Totals of nothing, with the keys that ``collect`` adds to."""
     names = [f"episode/{name}" for name in EPISODE_TOTALS]
     names += ["step/reward", "step/nan", "step/overflow"]
@@ -99,36 +91,36 @@ def zero_totals(env_state: Any) -> dict[str, jax.Array]:
 
 
 def record_step(
-    rollout_state: RolloutState,
-    totals: dict[str, jax.Array],
+    rollout: RolloutState,
+    totals: Totals,
     raw_action: jax.Array,
     log_prob: Any,
     after: Any,
-    gamma: float,
-    reward_scaling: float,
-) -> tuple[RolloutState, dict[str, jax.Array], Batch]:
+    gamma: jax.Array | float,
+    reward_scaling: jax.Array | float,
+) -> tuple[RolloutState, Totals, Batch]:
     """Take note of one step of all environments.
 
     Args:
-        environments: before the step.
+        rollout: before the step.
         totals: from ``zero_totals`` or an earlier step.
         raw_action: of the step    (B, action).
-        log_prob: of the action    (B,), or of each agent's by its name.
+        log_prob: of the action, of each agent by its name    (B,).
         after: state of the environment after the step.
         gamma: discount, for the running discounted return.
         reward_scaling: factor on the reward.
 
     Returns:
-        Environments and totals after the step, and what it leaves for learning    (B, ...).
+        Rollout state and totals after the step, and what it leaves for learning    (B, ...).
     """
-    before, done, metrics = rollout_state.env_state, after.done, after.metrics
+    before, done, metrics = rollout.env_state, after.done, after.metrics
     zero = jnp.zeros_like(after.reward)
     reward = reward_scaling * after.reward
-    discounted = gamma * rollout_state.discounted + reward
-    episode_return = rollout_state.episode_return + after.reward
-    episode_force = rollout_state.episode_force + metrics.get(FORCE_KEY, zero)
-    length = rollout_state.episode_length + 1
-    ended = done * rollout_state.counted
+    discounted = gamma * rollout.discounted + reward
+    episode_return = rollout.episode_return + after.reward
+    episode_force = rollout.episode_force + metrics.get(FORCE_KEY, zero)
+    length = rollout.episode_length + 1
+    ended = done * rollout.counted
     gains = {
         "episode/episodes": ended,
         "episode/return": ended * episode_return,
@@ -143,6 +135,7 @@ def record_step(
     gains |= {f"step/{name}": value for name, value in metrics.items() if "/" in name}
     totals = {name: total + jnp.sum(gains[name]) for name, total in totals.items()}
     going_on = 1 - done
+    info = after.info
     batch = Batch(
         obs=before.obs,
         raw_action=raw_action,
@@ -150,62 +143,62 @@ def record_step(
         reward=reward,
         discounted=discounted,
         done=done,
-        truncation=after.info["truncation"],
-        final_observation=with_privileged(
-            after.info["final_observation"], after.info.get("final_privileged_obs")
+        truncation=info["truncation"],
+        final_critic_obs=with_privileged(
+            info["final_observation"], info.get("final_privileged_obs")
         ),
-        value_obs=critic_obs(before),
+        critic_obs=critic_obs(before),
     )
-    rollout_state = replace(
-        rollout_state,
-        env_state=strong_types(after),
+    rollout = replace(
+        rollout,
+        env_state=strong(after),
         discounted=discounted * going_on,
         episode_return=episode_return * going_on,
         episode_force=episode_force * going_on,
         episode_length=length * going_on,
-        counted=jnp.maximum(rollout_state.counted, done),
+        counted=jnp.maximum(rollout.counted, done),
     )
-    return rollout_state, totals, batch
+    return rollout, totals, batch
 
 
 def collect(
     act: Callable[[jax.Array, jax.Array], tuple],
     venv: Any,
-    rollout_state: RolloutState,
+    rollout: RolloutState,
     key: jax.Array,
     *,
     num_steps: int,
-    gamma: float,
-    reward_scaling: float,
-) -> tuple[RolloutState, Batch, dict[str, jax.Array]]:
-    """Step all environments ``num_steps`` times with the current policy.
+    gamma: jax.Array | float,
+    reward_scaling: jax.Array | float,
+    execution: Execution = ONE_PROGRAM,
+) -> tuple[RolloutState, Batch, Totals]:
+    """Step all environments ``num_steps`` times with the current policies.
 
     Args:
-        act: (observation, key) -> action, raw sample, log-probability, as ``sample_action``.
+        act: (observation, key) -> action, raw sample, log-probabilities by agent.
         venv: vectorised, auto-resetting environment of B environments.
-        environments: where the environments are.
+        rollout: where the environments are.
         key: random key.
         num_steps: T.
         gamma: discount, for the running discounted return.
         reward_scaling: factor on the reward.
+        execution: how the loop runs.
 
     Returns:
-        The environments afterwards, the batch, and sums over all steps (``step/*``) and over all
+        The rollout state afterwards, the batch, and sums over all steps (``step/*``) and over all
         episodes that ended and were seen from their start (``episode/*``).
     """
+    record = execution.compile(record_step)
 
-    def step(
-        carry: tuple[RolloutState, dict], key: jax.Array
-    ) -> tuple[tuple[RolloutState, dict], Batch]:
-        rollout_state, totals = carry
-        before = rollout_state.env_state
-        action, raw, log_prob = act(before.obs, key)
-        after = venv.step(before, action)
-        rollout_state, totals, batch = record_step(
-            rollout_state, totals, raw, log_prob, after, gamma, reward_scaling
+    def step(carry: tuple[RolloutState, Totals], key: jax.Array) -> tuple[tuple, Batch]:
+        rollout, totals = carry
+        action, raw, log_prob = act(rollout.env_state.obs, key)
+        after = venv.step(rollout.env_state, action)
+        rollout, totals, batch = record(
+            rollout, totals, raw, log_prob, after, gamma, reward_scaling
         )
-        return (rollout_state, totals), batch
+        return (rollout, totals), batch
 
-    start = (rollout_state, zero_totals(rollout_state.env_state))
-    (rollout_state, totals), batch = jax.lax.scan(step, start, jax.random.split(key, num_steps))
-    return rollout_state, batch, totals
+    start = (rollout, zero_totals(rollout.env_state))
+    (rollout, totals), batch = execution.scan(step, start, jax.random.split(key, num_steps))
+    return rollout, batch, totals

@@ -1,13 +1,14 @@
-"""Checkpoints: the whole learner in one file, so that a killed run goes on as if nothing happened.
+"""Checkpoints: the whole learner in one file, so that an interrupted run resumes as if nothing had happened.
 
 A checkpoint holds every leaf of the learner (networks, optimiser, statistics, random key, step
 count, from which the learning rate follows) under its path in the tree, and a record of what it
-belongs to with the learning curve so far. It is restored onto a learner of the right shape. The
+fits with the learning curve so far. It is restored onto a learner of the right shape. The
 environments are not saved: a resumed run begins with fresh episodes.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,10 +21,17 @@ import numpy as np
 
 from agym_jax.data.npz import read_npz, write_npz
 from agym_jax.errors import DamagedFileError
+from agym_jax.policy.policy import Policy
 
+from ..configs import LearnConfig
 from ..errors import CheckpointMismatchError, CheckpointWarning
+from ..learning.agents import Agents
+from ..learning.sharding import to_host
+from . import record
+from .curve import Row
+from .folder import RunFolder
 
-FORMAT = 1
+FORMAT = 2
 KEEP = 3
 
 
@@ -84,7 +92,7 @@ def save_checkpoint(folder: Path, learner: Any, meta: Mapping[str, Any]) -> Path
     Args:
         folder: where checkpoints lie; it exists.
         learner: tree with a leaf ``env_steps``.
-        meta: ``belongs`` (what the checkpoint fits), ``curve`` and whatever else, for JSON.
+        meta: ``compatibility`` (what the checkpoint fits), ``curve`` and whatever else, for JSON.
 
     Returns:
         The file.
@@ -99,13 +107,13 @@ def save_checkpoint(folder: Path, learner: Any, meta: Mapping[str, Any]) -> Path
     return path
 
 
-def load_checkpoint(path: Path, template: Any, belongs: Mapping[str, Any]) -> Checkpoint:
+def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any]) -> Checkpoint:
     """Read one checkpoint.
 
     Args:
         path: the file.
         template: learner of the right structure.
-        belongs: name -> value of everything that must agree (environment, layout, networks).
+        compatibility: name -> value of everything that must agree (environment, layout, networks).
 
     Raises:
         DamagedFileError: the file is not whole.
@@ -120,17 +128,17 @@ def load_checkpoint(path: Path, template: Any, belongs: Mapping[str, Any]) -> Ch
         raise CheckpointMismatchError(
             f"{path} has checkpoint format {meta.get('format')}, this version reads {FORMAT}. {advice}"
         )
-    theirs = {"trainer": "ppo", **meta["belongs"]}
-    trainer = belongs.get("trainer", theirs["trainer"])
-    if theirs["trainer"] != trainer:
+    theirs = meta["compatibility"]
+    trainer = compatibility.get("trainer", theirs.get("trainer"))
+    if theirs.get("trainer") != trainer:
         raise CheckpointMismatchError(
-            f"{path} is of a run of train.{theirs['trainer']}, this is train.{trainer}. Continue it "
-            f"with agym-jax {theirs['trainer']}, choose another --save-dir, or start over "
+            f"{path} is of a run of train.{theirs.get('trainer')}, this is train.{trainer}. Continue it "
+            f"with agym-jax {theirs.get('trainer')}, choose another --save-dir, or start over "
             f"with --fresh (which moves the old run aside)."
         )
     differ = [
         f"{name} is {theirs.get(name)!r}, this run has {value!r}"
-        for name, value in belongs.items()
+        for name, value in compatibility.items()
         if theirs.get(name) != value
     ]
     if differ:
@@ -141,13 +149,13 @@ def load_checkpoint(path: Path, template: Any, belongs: Mapping[str, Any]) -> Ch
         raise CheckpointMismatchError(f"{path} does not fit: {error}. {advice}") from None
 
 
-def load_newest(folder: Path, template: Any, belongs: Mapping[str, Any]) -> Checkpoint | None:
+def load_newest(folder: Path, template: Any, compatibility: Mapping[str, Any]) -> Checkpoint | None:
     """The newest checkpoint that is whole; damaged ones are skipped with a ``CheckpointWarning``.
 
     Args:
         folder: where checkpoints lie; it may not exist.
         template: learner of the right structure.
-        belongs: see ``load_checkpoint``.
+        compatibility: see ``load_checkpoint``.
 
     Returns:
         The checkpoint, or None if there is none.
@@ -159,7 +167,7 @@ def load_newest(folder: Path, template: Any, belongs: Mapping[str, Any]) -> Chec
     files = checkpoint_files(folder)
     for path in files:
         try:
-            return load_checkpoint(path, template, belongs)
+            return load_checkpoint(path, template, compatibility)
         except DamagedFileError as error:
             warnings.warn(f"{error} Using the one before it.", CheckpointWarning, stacklevel=2)
     if files:
@@ -168,3 +176,110 @@ def load_newest(folder: Path, template: Any, belongs: Mapping[str, Any]) -> Chec
             f"moves them aside."
         )
     return None
+
+
+Policies = Mapping[str, Policy]
+
+
+class CheckpointManager:
+    """Writes what is to be kept, if anything is.
+
+    Args:
+        env: the environment.
+        config: resolved settings.
+        agents: whose state it is.
+        folder: where; None keeps the curve in memory only.
+        writes: whether this host is the one that writes; all of them read.
+
+    Attributes:
+        curve: rows of all sessions.
+        seconds: that earlier sessions trained.
+    """
+
+    def __init__(
+        self,
+        env: Any,
+        config: LearnConfig,
+        agents: Agents,
+        folder: RunFolder | None,
+        writes: bool = True,
+    ) -> None:
+        self._env, self._config, self._agents = env, config, agents
+        self._source, self._folder = folder, folder if writes else None
+        self.curve: list[Row] = []
+        self.seconds = 0.0
+        self._compatibility = {
+            "trainer": agents.trainer,
+            "env": env.name,
+            "layout": env.layout_version,
+            **agents.compatibility(),
+        }
+        self._info = {
+            "env": env.name,
+            "commit": record.commit(),
+            "versions": record.versions(),
+            "algorithm": agents.trainer,
+        }
+
+    def resume(self, learner: Any) -> tuple[Any, Mapping[str, Any] | None]:
+        """The learner to begin with, and what the newest sound checkpoint says, if there is one.
+
+        Args:
+            learner: a new one; where there is no checkpoint it is returned.
+
+        Raises:
+            CheckpointMismatchError: the folder holds a run of something else.
+        """
+        if not self._source:
+            return learner, None
+        found = load_newest(self._source.checkpoints, learner, self._compatibility)
+        if not found:
+            return learner, None
+        self.curve, self.seconds = found.meta["curve"], found.meta["seconds"]
+        return found.learner, found.meta
+
+    def begin(self, first_steps: int) -> None:
+        """Write down the settings, and the curve as far as it is valid."""
+        if self._folder:
+            self._folder.write_curve(self.curve)
+            self._folder.write_config(
+                self._config,
+                resumed_from_step=first_steps or None,
+                impl=str(getattr(self._env, "impl", self._config.impl)),
+            )
+
+    def add(self, row: Row) -> None:
+        """Keep a row of the curve."""
+        self.curve.append(row)
+        if self._folder:
+            self._folder.add_row(row)
+
+    def policies(self, learner: Any) -> Policies:
+        """The policies of a learner, by agent."""
+        return self._agents.policies(to_host(learner), self._info)
+
+    def save(self, learner: Any, seconds: float) -> None:
+        """A checkpoint, and the policies beside it.
+
+        Args:
+            learner: state to keep.
+            seconds: that this session has trained.
+        """
+        if self._folder:
+            meta = {
+                "compatibility": self._compatibility,
+                "curve": self.curve,
+                "seconds": self.seconds + seconds,
+                "config": dataclasses.asdict(self._config),
+            }
+            save_checkpoint(self._folder.checkpoints, learner, meta)
+            self._folder.save_policies(self.policies(learner))
+
+    def finish(self, learner: Any) -> Policies:
+        """Save policies and picture; returns the policies."""
+        policies = self.policies(learner)
+        if self._folder:
+            self._folder.save_policies(policies)
+            title = f"{self._env.name}, {self._agents.trainer}, seed {self._config.seed}"
+            self._folder.draw(self.curve, title)
+        return policies

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from agym_jax.errors import BufferOverflowError
+
 from ..errors import DivergedError
 
 Row = dict[str, Any]

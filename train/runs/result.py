@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from agym_jax.policy.policy import Policy
+
 from ..configs import LearnConfig
 from .curve import Row
-from agym_jax.policy.policy import Policy
 from .progress import duration
 
 

@@ -1,7 +1,7 @@
-"""One session of training, whatever is trained: compile, go from log line to log line, save, resume.
+"""One session of training, whoever learns: compile, run from log line to log line, save, resume.
 
-The run is compiled once and then goes from log line to log line in single calls, each of many
-updates. A session that finds checkpoints in its folder goes on from there.
+The run is compiled once. Each call of the program makes the updates between two log lines. A session that finds
+checkpoints in its folder resumes from them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -25,23 +24,27 @@ from agym_jax.errors import AgymError
 
 from ..configs import Config, LearnConfig, parse_arguments, resolve, updates_in
 from ..envs import make_env, vectorize
-from ..learning.algorithm import Algorithm
+from ..learning.agents import Agents
+from ..learning.execution import STEPWISE, StepwiseEnv, compile_together
 from ..learning.hosts import check_agreement, join_hosts, wait_for_hosts
+from ..learning.ppo import Hyper
 from ..learning.rollout import RolloutState, init_rollout
-from ..learning.stepwise import StepwiseEnv, start_stepwise
-from ..learning.update import AXIS, device_mesh, make_updates, replicate, shard, shardings, to_host
+from ..learning.sharding import AXIS, device_mesh, replicate, shard, shardings, to_host
+from ..learning.update import make_updates
+from .checkpoint import CheckpointManager, Policies
 from .curve import Row, check_row, make_row
 from .folder import RunFolder
-from .manager import CheckpointManager, Policies
 from .progress import Progress, Silent, for_terminal
 from .result import TrainResult, summary
 
 SAVE_PERIOD = 60.0  # seconds after which a checkpoint is due at the next log line
 UNIMPORTANT = ("save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts")
+GPU_OPTIONS = {"xla_gpu_enable_triton_gemm": False}
+"""Of the compiler: trying out Triton's matrix products takes half of the time to compile, and cuBLAS wins."""
 OnLog = Callable[[Row, Callable[[], Policies]], bool | None]
 
 
-def settle(env: Any, config: Config) -> tuple[Config, Mesh | None]:
+def resolve_config(env: Any, config: Config) -> tuple[Config, Mesh | None]:
     """Settings for an environment and this machine, and the devices if there are several.
 
     Raises:
@@ -55,7 +58,7 @@ def settle(env: Any, config: Config) -> tuple[Config, Mesh | None]:
 def run_session(
     env: Any,
     config: LearnConfig,
-    algorithm: Algorithm,
+    agents: Agents,
     mesh: Mesh | None = None,
     progress: Progress | None = None,
     on_log: OnLog | None = None,
@@ -64,9 +67,9 @@ def run_session(
 
     Args:
         env: an environment (``agym_jax.make``), or a ``StepwiseEnv``.
-        config: from ``settle``.
-        algorithm: how to learn.
-        mesh: from ``settle``.
+        config: from ``resolve_config``.
+        agents: who learns.
+        mesh: from ``resolve_config``.
         progress: is told what happens; None shows nothing.
         on_log: see ``train.ppo.train``; gets policies by agent.
 
@@ -83,31 +86,32 @@ def run_session(
     start = time.perf_counter()
     venv = vectorize(env, config.num_envs // config.devices)
     key_learner, key_envs = jax.random.split(jax.random.PRNGKey(config.seed))
-    keeper = CheckpointManager(env, config, algorithm, folder, writes=is_main_process)
-    learner, meta = keeper.resume(jax.jit(algorithm.init)(key_learner))
+    manager = CheckpointManager(env, config, agents, folder, writes=is_main_process)
+    learner, meta = manager.resume(jax.jit(agents.init)(key_learner))
     first_steps = int(learner.env_steps)
     if meta:
         _say_resumed(progress, meta, config, first_steps)
     check_agreement("the step to go on from", first_steps, "They need a common --save-dir.")
-    keeper.begin(first_steps)
+    manager.begin(first_steps)
 
     batch = config.num_envs * config.num_steps
     total_steps = updates_in(config.num_env_steps, batch) * batch
-    rollout_state: Any = None
+    rollout: Any = None
     run: Any = None
     if first_steps < total_steps:
         # A resumed run gets fresh episodes, and other ones than the run before it began with.
         key_envs = jax.random.fold_in(key_envs, first_steps)
         if isinstance(venv, StepwiseEnv):
-            rollout_state, run = start_stepwise(venv, config, algorithm, key_envs)
+            rollout = init_rollout(venv, key_envs, config.stagger)
+            run = make_updates(venv, config, agents, execution=STEPWISE)
         else:
-            learner, rollout_state, run = _compile(venv, config, algorithm, learner, key_envs, mesh)
+            learner, rollout, run = _compile(venv, config, agents, learner, key_envs, mesh)
     else:
         progress.say("This run is complete; raise --num-env-steps to go on.")
     compile_seconds = time.perf_counter() - start
 
     progress.start(first_steps, total_steps)
-    length = np.float32(total_steps)
+    hyper = Hyper.of(config, total_steps)
     start = last_save = time.perf_counter()
     env_steps, nan_steps, since_save, interrupted = first_steps, 0, 0, False
     saved_at = first_steps
@@ -115,42 +119,40 @@ def run_session(
         while env_steps < total_steps and not interrupted:
             count = min(config.log_interval, math.ceil((total_steps - env_steps) / batch))
             began = time.perf_counter()
-            next_learner, rollout_state, totals = run(
-                learner, rollout_state, np.int32(count), length
-            )
+            next_learner, rollout, totals = run(learner, rollout, np.int32(count), hyper)
             totals = jax.device_get(totals)
             now = time.perf_counter()
             row = make_row(totals, count, count * batch, env.episode_length)
             nan_steps += int(row["nan"])
             row |= {
                 "env_steps": env_steps + count * batch,
-                "seconds": keeper.seconds + now - start,
+                "seconds": manager.seconds + now - start,
                 "steps_per_second": count * batch / (now - began),
                 "nan_total": nan_steps,
             }
             check_row(row, env.name, config.num_envs)
             learner, env_steps = next_learner, env_steps + count * batch
-            keeper.add(row)
+            manager.add(row)
             progress.update(row)
             since_save += count
             due = since_save >= config.save_interval or now - last_save > SAVE_PERIOD
-            if on_log and on_log(row, lambda kept=learner: keeper.policies(kept)):
+            if on_log and on_log(row, lambda kept=learner: manager.policies(kept)):
                 interrupted = env_steps < total_steps
             if due or interrupted or env_steps >= total_steps:
-                keeper.save(learner, now - start)
+                manager.save(learner, now - start)
                 saved_at, since_save, last_save = env_steps, 0, time.perf_counter()
     except KeyboardInterrupt:
         interrupted = True
         if env_steps > saved_at:
-            keeper.save(learner, time.perf_counter() - start)
+            manager.save(learner, time.perf_counter() - start)
     finally:
         progress.stop()
     train_seconds = time.perf_counter() - start
     return TrainResult(
-        policies=keeper.finish(learner),
+        policies=manager.finish(learner),
         learner=to_host(learner),
         config=config,
-        curve=keeper.curve,
+        curve=manager.curve,
         env_steps=env_steps,
         session_steps=env_steps - first_steps,
         compile_seconds=compile_seconds,
@@ -164,17 +166,17 @@ def run_session(
 def _compile(
     venv: Any,
     config: LearnConfig,
-    algorithm: Algorithm,
+    agents: Agents,
     learner: Any,
     key: jax.Array,
     mesh: Mesh | None,
 ) -> tuple[Any, RolloutState, Callable]:
-    """The learner where it belongs, environments at their start, the compiled function for many updates."""
+    """The learner on its devices, environments at their start, the compiled function for many updates."""
 
     def first(key: jax.Array) -> RolloutState:
         return init_rollout(venv, key, config.stagger)
 
-    run = make_updates(venv, config, algorithm, AXIS if mesh else None)
+    run = make_updates(venv, config, agents, AXIS if mesh else None)
     common = own = None
     if mesh:
         common, own = shardings(mesh)
@@ -182,13 +184,13 @@ def _compile(
         learner, key = replicate(mesh, (learner, key))
     # XLA would leave Warp's empty buffers anywhere, so every place is said.
     reset = jax.jit(first, out_shardings=own).lower(key)
-    rollout_state = jax.tree.map(
+    rollout = jax.tree.map(
         lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=own), reset.out_info
     )
     update = jax.jit(run, out_shardings=(common, own, common))
-    update = update.lower(learner, rollout_state, np.int32(1), np.float32(1))
-    with ThreadPoolExecutor(2) as pool:  # XLA compiles outside of Python's lock
-        begin, go = pool.map(lambda lowered: lowered.compile(), (reset, update))
+    update = update.lower(learner, rollout, np.int32(1), Hyper.of(config, 1))
+    options = GPU_OPTIONS if jax.default_backend() == "gpu" else None
+    go, begin = compile_together(update, reset, options=options)
     return learner, jax.block_until_ready(begin(key)), go
 
 

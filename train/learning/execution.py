@@ -1,0 +1,103 @@
+"""How the loops of training and evaluation run: inside one compiled program, or from Python.
+
+A program of many updates, or of whole episodes, contains the environment's step and compiles it anew. Where that
+takes a minute, as on a CPU, the reset and step of a batch are compiled once (``StepwiseEnv``) and called from
+Python again and again, which costs nothing where a step takes milliseconds.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from agym_jax.state import strong
+
+from ..errors import ConfigError
+
+Step = Callable[[Any, Any], tuple[Any, Any]]
+
+
+@dataclass(frozen=True)
+class Execution:
+    """The loops that an update or an episode is written with.
+
+    Attributes:
+        scan: as ``jax.lax.scan`` with two arguments and a sequence.
+        fori_loop: as ``jax.lax.fori_loop``.
+        compile: what is done to a function that the loops call at every turn.
+    """
+
+    scan: Callable[[Step, Any, Any], tuple[Any, Any]]
+    fori_loop: Callable[[Any, Any, Callable[[Any, Any], Any], Any], Any]
+    compile: Callable[[Callable[..., Any]], Callable[..., Any]]
+
+
+def _python_scan(step: Step, carry: Any, xs: Any) -> tuple[Any, Any]:
+    outputs = []
+    for i in range(len(jax.tree.leaves(xs)[0])):
+        carry, output = step(carry, jax.tree.map(lambda x, i=i: x[i], xs))
+        outputs.append(output)
+    return carry, jax.tree.map(lambda *leaves: jnp.stack(leaves), *outputs)
+
+
+def _python_fori_loop(start: Any, stop: Any, body: Callable[[Any, Any], Any], carry: Any) -> Any:
+    for i in range(int(start), int(stop)):
+        carry = body(i, carry)
+    return carry
+
+
+ONE_PROGRAM = Execution(jax.lax.scan, jax.lax.fori_loop, lambda function: function)
+"""For functions that are compiled as a whole."""
+STEPWISE = Execution(_python_scan, _python_fori_loop, functools.lru_cache(maxsize=32)(jax.jit))
+"""For environments whose step is called from Python."""
+
+
+class StepwiseEnv:
+    """A vectorised environment whose ``reset`` and ``step`` are compiled programs.
+
+    Args:
+        venv: vectorised, auto-resetting environment.
+    """
+
+    def __init__(self, venv: Any) -> None:
+        self.venv, self.num_envs = venv, venv.num_envs
+        reset = jax.jit(lambda key: strong(venv.reset(key))).lower(jax.random.PRNGKey(0))
+        action = jax.ShapeDtypeStruct((venv.num_envs, venv.action_size), jnp.float32)
+        state = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), reset.out_info)
+        step = jax.jit(lambda state, action: strong(venv.step(state, action))).lower(state, action)
+        self.step, self.reset = compile_together(step, reset)
+
+    def vectorize(self, num_envs: int) -> StepwiseEnv:
+        """Itself: the batch size is compiled in.
+
+        Raises:
+            ConfigError: another number of environments was asked for.
+        """
+        if num_envs != self.num_envs:
+            raise ConfigError(
+                f"This StepwiseEnv is compiled for {self.num_envs} environments, not {num_envs}. Set "
+                f"num_envs={self.num_envs}, or make another StepwiseEnv."
+            )
+        return self
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "venv":
+            raise AttributeError(name)
+        return getattr(self.venv if hasattr(self.venv, name) else self.venv.env, name)
+
+
+def compile_together(*programs: Any, options: dict[str, Any] | None = None) -> list[Any]:
+    """Compile lowered programs at the same time: XLA works outside of Python's lock.
+
+    Args:
+        programs: from ``jax.jit(...).lower(...)``.
+        options: of the compiler.
+    """
+    with ThreadPoolExecutor(len(programs)) as pool:
+        return list(pool.map(lambda program: program.compile(compiler_options=options), programs))

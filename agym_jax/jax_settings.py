@@ -38,7 +38,8 @@ def enable_compilation_cache() -> None:
     starts, never on import; calling it again changes nothing.
     """
     wanted = os.environ.get("AGYM_JAX_CACHE", "")
-    if wanted.lower() in ("off", "0", "no") or jax.config.jax_compilation_cache_dir:
+    configured = getattr(jax.config, "jax_compilation_cache_dir", None)
+    if wanted.lower() in ("off", "0", "no") or configured:
         return
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     folder = Path(wanted or Path(base) / "agym_jax" / "xla").expanduser()

@@ -59,7 +59,7 @@ def read_arrays(
     shapes: Mapping[str, Shape],
     error: type[AgymError],
     remedy: str,
-) -> dict[str, np.ndarray]:
+) -> dict[str, Any]:
     """All arrays of an asset, those that are needed checked.
 
     Args:

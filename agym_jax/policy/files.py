@@ -24,7 +24,7 @@ FORMER_FILE_NAMES = {"human": "person_policy.npz"}
 """In folders of runs from before the agent was renamed."""
 
 
-def load_policy(source: Path | str, env: Any = None) -> Policy | Pair | Baseline:
+def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
     """A policy by the id of an environment, or by its place; see ``agym_jax.load_policy``.
 
     Args:
@@ -40,12 +40,15 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair | Baseline
         files = _files_at(Path(source))
     else:
         files = find_policies(text)
-    if env is not None:
-        return load_policies(files, env)
     robot = read_policy(files.robot)
-    if files.human is None:
+    human = None if files.human is None else read_policy(files.human)
+    if env is not None:
+        check_policy(robot, env, files.robot, agent="robot" if human else None)
+    if human is None:
         return robot
-    return Pair(robot, read_policy(files.human), robot.arch.observation_size)
+    if env is not None:
+        check_policy(human, env, str(files.human), agent="human")
+    return Pair(robot, human, robot.arch.observation_size)
 
 
 def _files_at(path: Path) -> PolicyFiles:

@@ -19,10 +19,10 @@ SOURCES = ("agym_jax", "train")
 NOTE = re.compile(r"^\W*DEVIATION\((?P<slug>[a-z0-9-]+)\):\s*(?P<text>.*)$")
 HEAD = """# Deviations from Assistive Gym v0.1
 
-Generated from the notes in the code by `python -m benchmarks.deviations`; do not edit. AG is Assistive Gym v0.1.
-Everything else is meant to be as in AG: a difference that is not listed here is a bug.
+All intended differences from Assistive Gym (AG) v0.1. Any other difference is a bug. This page is generated from the
+notes in the code by `python -m benchmarks.deviations`; do not edit it.
 
-| name | what differs, and why | where |
+| name | difference and reason | source |
 |---|---|---|
 """
 

@@ -1,7 +1,7 @@
-"""Tables of results, made from ``benchmarks/results``: ``python -m benchmarks.tables [--check]``.
+"""Result tables, generated from ``benchmarks/results``: ``python -m benchmarks.tables [--check]``.
 
-They stand in ``PAGES``, a table between ``<!-- table:NAME -->`` and ``<!-- /table:NAME -->``. Of several results of the
-same configuration the last line of the file counts. Results with lost contacts are left out.
+Each table in ``PAGES`` is between ``<!-- table:NAME -->`` and ``<!-- /table:NAME -->``. If a configuration was measured
+several times, the last line of the file is used. Results with lost contacts are left out.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def throughput(folder: Path = RESULTS) -> str:
     columns = {
         "environment": lambda x: x["env"],
         "physics": lambda x: x["impl"],
-        "envs": lambda x: f"{x['num_envs']:,}",
+        "parallel envs": lambda x: f"{x['num_envs']:,}",
         "control steps/s, median (range)": lambda x: (
             f"**{x['steps_per_s']:,}** ({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,})"
         ),
@@ -51,7 +51,7 @@ def throughput(folder: Path = RESULTS) -> str:
     }
     lines = read_results("throughput", ("env", "impl", "num_envs"), folder)
     by = itemgetter("env", "impl", "num_envs")
-    return table(lines, columns, by, "Random actions, resets included.")
+    return table(lines, columns, by, "Random actions, resets included;")
 
 
 def cpu(folder: Path = RESULTS) -> str:
@@ -63,10 +63,10 @@ def cpu(folder: Path = RESULTS) -> str:
         "environment": lambda x: x["env"],
         "first step, cold": lambda x: f"{x['cold_step_seconds']:.0f} s",
         "first step, warm cache": lambda x: f"{x['warm_step_seconds']:.0f} s",
-        "steps/s, 1 world": lambda x: f"{x['single_steps_per_s']:,}",
+        "steps/s, 1 environment": lambda x: f"{x['single_steps_per_s']:,}",
         f"steps/s, {envs} environments": lambda x: f"{x['steps_per_s']:,}",
     }
-    note = f"From the start of the process; {cores} cores."
+    note = f"Latencies from process start; {cores} cores;"
     return table(lines, columns, itemgetter("env"), note)
 
 
@@ -74,12 +74,12 @@ def compilation(folder: Path = RESULTS) -> str:
     """How long it takes until training begins."""
     columns = {
         "environment": lambda x: x["env"],
-        "on": lambda x: x["device"]["kind"],
+        "device": lambda x: x["device"]["kind"],
         "physics": lambda x: x["impl"],
-        "envs": lambda x: f"{x['num_envs']:,}",
+        "parallel envs": lambda x: f"{x['num_envs']:,}",
         "start": lambda x: x["start"],
-        "compiling": lambda x: f"{x['compile_s']:.0f} s",
-        "until training begins": lambda x: f"{x['until_training_s']:.0f} s",
+        "compile time": lambda x: f"{x['compile_s']:.0f} s",
+        "startup time": lambda x: f"{x['until_training_s']:.0f} s",
     }
     lines = read_results("compile", ("env", "impl", "start"), folder)
     return table(lines, columns, itemgetter("env", "impl", "start"))
@@ -92,7 +92,7 @@ def nan(folder: Path = RESULTS) -> str:
         "physics": lambda x: x["impl"],
         "random steps": lambda x: f"{x['total_steps']:,}",
         "NaN": lambda x: x["nan"],
-        "force on the person, 99.99 %": lambda x: f"{x['force/on_human/p99.99']:.1f} N",
+        "force on the person, 99.99th percentile": lambda x: f"{x['force/on_human/p99.99']:.1f} N",
         "maximum": lambda x: f"{x['force/on_human/max']:.1f} N",
     }
     lines = read_results("nan", ("env", "impl"), folder)
@@ -110,14 +110,16 @@ def policies(folder: Path = RESULTS) -> str:
     sampled = {x["env"]: x for x in lines if x["policy"] == "sampled"}
     columns = {
         "environment": lambda x: x["env"],
-        "humans": lambda x: f"{x['episodes']:,}",
+        "episodes": lambda x: f"{x['episodes']:,}",
         "return": lambda x: f"{x['return_mean']:.1f} ± {x['return_std']:.1f}",
         "mean force on the person": lambda x: f"{x['force_mean']:.2f} N",
         "success (95 % interval)": _success,
-        "success, sampled": lambda x: _success(sampled[x["env"]]) if x["env"] in sampled else "",
+        "success, sampled actions": lambda x: (
+            _success(sampled[x["env"]]) if x["env"] in sampled else ""
+        ),
     }
     mode = [x for x in lines if x["policy"] == "mode"]
-    return table(mode, columns, itemgetter("env"), "Mode of the policy;")
+    return table(mode, columns, itemgetter("env"), "Deterministic policy (mode) unless noted;")
 
 
 def together(folder: Path = RESULTS) -> str:
@@ -133,15 +135,15 @@ def together(folder: Path = RESULTS) -> str:
 
     columns = {
         "environment": lambda x: x["env"],
-        "humans": lambda x: f"{x['episodes']:,}",
+        "episodes": lambda x: f"{x['episodes']:,}",
         "success (95 % interval)": _success,
         "return": lambda x: f"{x['return_mean']:.0f} ± {x['return_std']:.0f}",
         "mean force on the person": lambda x: f"{x['force_mean']:.1f} N",
-        "this robot, person still": lambda x: other(still, x["env"]),
-        "trained with a still person": lambda x: other(trained_so, static_id(x["env"])),
+        "same robot, passive person": lambda x: other(still, x["env"]),
+        "robot trained with a passive person": lambda x: other(trained_so, static_id(x["env"])),
     }
     both = [x for x in lines if x["human_policy"] is not None]
-    note = "Success and return, mode of the policies;"
+    note = "Deterministic policies (mode); last two columns: success, return;"
     return table(both, columns, itemgetter("env"), note)
 
 
@@ -156,11 +158,11 @@ def seeds(folder: Path = RESULTS) -> str:
     def cell(robot: str, human: str | None) -> str:
         return f"{of[robot, human]['success']:.0%}, {of[robot, human]['return_mean']:.0f}"
 
-    head = ["robot, person:", *(human or "still" for human in humans)]
+    head = ["robot \\ person", *(human or "passive" for human in humans)]
     rows = [[robot, *(cell(robot, human) for human in humans)] for robot in robots]
     env = several(x["env"] for x in lines if x["human_policy"])
-    humans_each = several(f"{x['episodes']:,}" for x in lines)
-    note = f"{env}, success and return, {humans_each} people;"
+    episodes = several(f"{x['episodes']:,}" for x in lines)
+    note = f"{env}: success, return; {episodes} episodes each;"
     return grid([head, *rows], lines, note)
 
 
@@ -179,11 +181,11 @@ def training_speed(folder: Path = RESULTS) -> str:
         "physics": lambda x: x["impl"],
         "learners": lambda x: x["learners"],
         "devices": lambda x: x["devices"],
-        "envs": lambda x: f"{x['num_envs']:,}",
-        "steps/s of training, median (range)": lambda x: (
+        "parallel envs": lambda x: f"{x['num_envs']:,}",
+        "training steps/s, median (range)": lambda x: (
             f"**{x['steps_per_s']:,}** ({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,})"
         ),
-        "relative to one learner, one device": relative,
+        "relative to one learner on one device": relative,
     }
     return table(lines, columns, itemgetter(*keys))
 
@@ -197,11 +199,11 @@ def resume(folder: Path = RESULTS) -> str:
     columns = {
         "environment": lambda x: x["env"],
         "steps": lambda x: f"{x['steps']:,}",
-        "killed after": lambda x: f"{x['killed_at']:,}",
-        "went on from": lambda x: f"{x['resumed_from']:,}",
-        "return and success there": lambda x: ends([x["before"]]),
-        "at its end": lambda x: ends([x["broken"]]),
-        "unbroken runs, seeds 1, 2, ...": lambda x: ends(x["unbroken"]),
+        "killed at step": lambda x: f"{x['killed_at']:,}",
+        "resumed from step": lambda x: f"{x['resumed_from']:,}",
+        "return, success at the checkpoint": lambda x: ends([x["before"]]),
+        "at the end": lambda x: ends([x["broken"]]),
+        "uninterrupted runs, seeds 1, 2, ...": lambda x: ends(x["unbroken"]),
     }
     return table(read_results("resume", ("env",), folder), columns, itemgetter("env"))
 
@@ -210,8 +212,10 @@ def reach(folder: Path = RESULTS) -> str:
     """How many itches a robot can touch at all."""
     columns = {
         "environment": lambda x: x["env"],
-        "itches that can be touched": lambda x: f"{x['reachable']:.0%}",
-        "on the quarter of the limb that faces the trunk": lambda x: f"{x['reachable_inner']:.0%}",
+        "reachable itches": lambda x: f"{x['reachable']:.0%}",
+        "reachable itches on the quarter of the limb facing the trunk": lambda x: (
+            f"{x['reachable_inner']:.0%}"
+        ),
     }
     lines = read_results("reach", ("env",), folder)
     return table(lines, columns, itemgetter("env"))
@@ -220,16 +224,16 @@ def reach(folder: Path = RESULTS) -> str:
 def pulls(folder: Path = RESULTS) -> str:
     """What scripted pulls of the gown over a person's arm come to."""
     columns = {
-        "edge": lambda x: f"{1000 * x['edge_m']:.1f} mm",
+        "edge length": lambda x: f"{1000 * x['edge_m']:.1f} mm",
         "vertices": lambda x: f"{x['vertices']:,}",
         "pulls": lambda x: f"{x['pulls']:,}",
-        "a limb came through": lambda x: f"{x['through']}",
-        "0.4 m up the arm": lambda x: f"{x['beyond_0_4_m']:.1%}",
-        "over 80 % of the arm": lambda x: f"{x['progress_above_0_8']:.1%}",
-        "greatest force, median (99 %)": lambda x: (
+        "limb penetrations": lambda x: f"{x['through']}",
+        "pulled 0.4 m up the arm": lambda x: f"{x['beyond_0_4_m']:.1%}",
+        "covers over 80 % of the arm": lambda x: f"{x['progress_above_0_8']:.1%}",
+        "peak force, median (99th percentile)": lambda x: (
             f"{x['force_median_n']:.2f} N ({x['force_99_n']:.2f} N)"
         ),
-        "hangs": lambda x: f"{x['hang_m']:.3f} m",
+        "hanging length": lambda x: f"{x['hang_m']:.3f} m",
     }
     lines = read_results("pulls", ("edge_m", "pulls"), folder)
     return table(lines, columns, lambda x: (-x["edge_m"], x["pulls"]))
@@ -244,20 +248,23 @@ def success(folder: Path = RESULTS) -> str:
     def cell(x: Line) -> str:
         return f"{x['success']:.0%}" + (f" of {x['episodes']:,}" if x["episodes"] != usual else "")
 
-    return matrix(mode, cell, f"Success of the shipped policies, {usual:,} people each or as said;")
+    return matrix(
+        mode, cell, f"Success rate of the shipped policies, {usual:,} episodes each unless noted;"
+    )
 
 
 def speed(folder: Path = RESULTS) -> str:
     """Steps per second on Warp in 4,096 environments, by task and robot."""
     lines = read_results("throughput", ("env", "impl", "num_envs"), folder)
     warp = [x for x in lines if x["impl"] == "warp" and x["num_envs"] == 4096]
-    note = "Control steps/s of the whole environment, 4,096 environments, Warp;"
+    note = "Control steps per second with 4,096 parallel environments, MuJoCo Warp;"
     return matrix(warp, lambda x: f"{x['steps_per_s'] / 1000:,.0f} k", note)
 
 
 def _sharing(line: Line) -> str:
-    """How many trainings ran on the GPU at once, if it was more than one."""
-    return f", {line['sharing'].split()[0]} on one GPU" if "sharing" in line else ""
+    """How many runs shared the GPU, where the result says so."""
+    count = line.get("sharing", "").partition(" ")[0]
+    return "1" if count == "alone" else count
 
 
 def training(folder: Path = RESULTS) -> str:
@@ -265,10 +272,11 @@ def training(folder: Path = RESULTS) -> str:
     columns = {
         "environment": lambda x: x["env"],
         "physics": lambda x: x["impl"],
-        "envs": lambda x: f"{x['num_envs']:,}",
+        "parallel envs": lambda x: f"{x['num_envs']:,}",
         "steps": lambda x: f"{x['steps']:,}",
         "start": lambda x: x["start"],
-        "wall time, all in": lambda x: f"{x['wall_s']:.0f} s{_sharing(x)}",
+        "total wall time": lambda x: f"{x['wall_s']:.0f} s",
+        "runs on the GPU": _sharing,
         "success at the end": lambda x: f"{x['success']:.0%}",
         "NaN": lambda x: x.get("nan", ""),
     }

@@ -1,4 +1,4 @@
-"""Robots that help humans, by the thousand: Assistive Gym in JAX and MuJoCo MJX.
+"""Assistive Gym in JAX and MuJoCo MJX: simulated robots that assist people.
 
 >>> import agym_jax
 >>> env = agym_jax.make("ScratchItchJaco-v0")

@@ -11,9 +11,9 @@ from typing import Any
 import jax.numpy as jnp
 
 Array = Any
-Xyz = tuple[Array, Array, Array]
-"""Coordinates x, y and z of vectors, or one row of matrices."""
-Capsules = tuple[Array, Array, Array]
+Row = tuple[Array, Array, Array]
+"""The three entries of one row of matrices."""
+CentredCapsules = tuple[Array, Array, Array]
 """Centres [m] (n, 3), half axes [m] (n, 3) (0 for spheres), radii [m] (n,)."""
 
 TINY = 1e-12
@@ -65,7 +65,7 @@ def unit_quat_parts(w: Array, x: Array, y: Array, z: Array, xp: Any = jnp) -> tu
     return w / size, x / size, y / size, z / size
 
 
-def rotation_rows(w: Array, x: Array, y: Array, z: Array) -> tuple[Xyz, Xyz, Xyz]:
+def rotation_rows(w: Array, x: Array, y: Array, z: Array) -> tuple[Row, Row, Row]:
     """Rows of the rotation matrices of unit quaternions, from their parts; all entries (...)."""
     return (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -144,7 +144,7 @@ def _child_quat(quat: Array, local: Array, inner: Array, xp: Any) -> Array:
     return xp.concatenate([w * b - inner, w * c + b * v + xp.cross(v, c)], -1)
 
 
-def capsule_gap(a: Capsules, b: Capsules) -> Array:
+def capsule_gap(a: CentredCapsules, b: CentredCapsules) -> Array:
     """Least distance between two sets of capsules; negative inside [m] ().
 
     Args:

@@ -29,7 +29,7 @@ from agym_jax.matter.cloth.hang import settle
 
 
 @dataclass(frozen=True)
-class Cut:
+class GownMeasures:
     """Measures of the gown [m]; AG's where a source is given, else estimates.
 
     Attributes:
@@ -55,7 +55,7 @@ class Cut:
     seam: float = 0.19
 
 
-def cut(measures: Cut = Cut()) -> Garment:
+def build_gown(measures: GownMeasures = GownMeasures()) -> Garment:
     """The gown at a resolution.
 
     Args:
@@ -133,7 +133,7 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax gown") -> int:
     """The command line; returns the exit status."""
     description = "Cut the gown that the package ships, let it hang, and write it into the assets."
     argparse.ArgumentParser(prog=prog, description=description).parse_args(argv)
-    gown = settle(cut())
+    gown = settle(build_gown())
     save(gown, asset_root() / GOWN)
     print(
         f"{len(gown.vertices)} vertices, {len(gown.triangles)} triangles, {gown.areas.sum():.3f} m^2, "

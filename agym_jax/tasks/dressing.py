@@ -34,7 +34,7 @@ from agym_jax.matter.cloth import sleeve
 from agym_jax.matter.cloth import solver as fabrics
 from agym_jax.matter.cloth.garment import Garment, load
 from agym_jax.matter.cloth.hang import settle
-from agym_jax.matter.cloth.solver import Cloth, Touch
+from agym_jax.matter.cloth.solver import Cloth, ClothContact
 from agym_jax.matter.cloth.topology import ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import Capsules
 from agym_jax.observe import column, observation, part
@@ -92,7 +92,7 @@ class DressState:
     cloth: Cloth
     heading: Array  # of the gown, about world z [rad]                          ()
     slid: Array  # how far it has slid through the fingers, world [m]           (3,)
-    on_arm: sleeve.Worn  # what the sleeve is on or was on just now
+    on_arm: sleeve.SleeveState  # what the sleeve is on or was on just now
     dressed: Array  # AG's r_dress, now [m]                                     ()
     best: Array  # the best of it so far [m]                                    ()
     progress: Array  # share of the whole arm that is in the sleeve now         ()
@@ -202,7 +202,7 @@ class Dressing:
             cloth=fabrics.initial(self.spec, sensed.tool.pos_w - BELOW_HAND * UP),
             heading=zero,
             slid=jnp.zeros(3),
-            on_arm=sleeve.Worn(nowhere, nowhere),
+            on_arm=sleeve.SleeveState(nowhere, nowhere),
             dressed=zero,
             best=jnp.float32(-jnp.inf),
             progress=zero,
@@ -218,7 +218,7 @@ class Dressing:
         force = jnp.where(touch.broken.any(), jnp.nan, touch.total.mean(0)[:limbs])
         return self._judge(replace(state, force=force), sensed), {}
 
-    def _move(self, state: DressState, sensed: Sensed) -> tuple[DressState, Touch]:
+    def _move(self, state: DressState, sensed: Sensed) -> tuple[DressState, ClothContact]:
         """The gown after the n physics steps of a control step, and what was felt in each."""
         motion = sensed.motion
         limbs = (*TOUCHABLE, *BELOW)
@@ -227,7 +227,7 @@ class Dressing:
         a, b = (jnp.concatenate([x, still[:, :, i]], 1) for i, x in enumerate((a, b)))
         radius = jnp.concatenate([radius, jnp.full(2, ARMREST_RADIUS)])
 
-        def one(carry: tuple, moment: tuple) -> tuple[tuple, Touch]:
+        def one(carry: tuple, moment: tuple) -> tuple[tuple, ClothContact]:
             cloth, heading, slid = carry
             (a0, b0, hand0), (a1, b1, hand1) = moment
             after = swivel(heading, hand1 - hand0)
@@ -247,8 +247,8 @@ class Dressing:
     def _judge(self, state: DressState, sensed: Sensed) -> DressState:
         """How far up the arm the opening is."""
         points, arm = state.cloth.pos_w[self.watched], arm_of(sensed)
-        on_arm = sleeve.worn(points, arm).after(state.on_arm)
-        dressed = sleeve.dressed(points, arm, on_arm)
+        on_arm = sleeve.sleeve_state(points, arm).after(state.on_arm)
+        dressed = sleeve.dressing_distance(points, arm, on_arm)
         return replace(
             state,
             on_arm=on_arm,
@@ -299,7 +299,7 @@ class Dressing:
     def privileged_obs(self, state: DressState) -> Array:
         """What the sleeve is on, how far, and where its opening is from what is held (hidden_size,)."""
         on, pos = state.on_arm, state.cloth.pos_w
-        flags = [on.forearm, on.upper_arm, on.unseen / sleeve.REMEMBERED, state.dressed]
+        flags = [on.forearm, on.upper_arm, on.steps_off / sleeve.MEMORY_STEPS, state.dressed]
         off = pos[self.watched].mean((0, 1)) - pos[self.spec.garment.anchors].mean(0)
         return jnp.concatenate(
             [jnp.stack([jnp.asarray(x, jnp.float32) for x in flags]), off, state.slid]

@@ -14,11 +14,11 @@ from scipy.optimize import brentq
 
 from agym_jax.matter.cloth.garment import load
 from agym_jax.matter.cloth.solver import (
-    GATHERS,
-    HELD,
-    SLIDES,
+    GATHER_RATE,
+    SLIP_RATE,
+    SLIP_STRETCH,
     Cloth,
-    Touch,
+    ClothContact,
     anchor_positions,
     initial,
     slip,
@@ -151,15 +151,15 @@ def test_the_anchors_feel_what_hangs_and_what_rubs():
 def test_cloth_slides_through_fingers_while_it_is_stretched():
     def after(slid, stretch, grip):
         nothing = jnp.zeros((0, 3)), jnp.zeros(0)
-        felt = Touch(*nothing, jnp.array(grip), jnp.float32(stretch), jnp.array(False))
+        felt = ClothContact(*nothing, jnp.array(grip), jnp.float32(stretch), jnp.array(False))
         return slip(jnp.array(slid), felt, DT)
 
     up = (0.0, 0.0, 2.0)  # the hand pulls upwards, so the cloth slides downwards
     np.testing.assert_allclose(
-        after((0.0, 0.0, 0.0), HELD + 0.1, up), [0, 0, -SLIDES * 0.1 * DT], rtol=1e-4
+        after((0.0, 0.0, 0.0), SLIP_STRETCH + 0.1, up), [0, 0, -SLIP_RATE * 0.1 * DT], rtol=1e-4
     )
     np.testing.assert_allclose(after((0.0, 0.0, 0.0), 1.2, up), 0.0, atol=1e-9)
-    back = 0.1 - GATHERS * (HELD - 1.3) * DT
+    back = 0.1 - GATHER_RATE * (SLIP_STRETCH - 1.3) * DT
     np.testing.assert_allclose(after((0.1, 0.0, 0.0), 1.3, up), [back, 0.0, 0.0], rtol=1e-4)
     np.testing.assert_allclose(after((1e-4, 0.0, 0.0), 1.0, up), 0.0, atol=1e-9)
     assert np.isfinite(after((0.0, 0.0, 0.0), 9.0, (0.0, 0.0, 0.0))).all()

@@ -22,8 +22,8 @@ from agym_jax.matter.cloth.garment import (
     save,
 )  # fmt: skip
 from agym_jax.matter.cloth.hang import settle
-from agym_jax.matter.cloth.topology import USUAL_EDGE, USUAL_SUBSTEPS, Fabric, build_cloth
-from agym_jax.offline.gown import Cut, cut
+from agym_jax.matter.cloth.topology import REFERENCE_EDGE, REFERENCE_SUBSTEPS, Fabric, build_cloth
+from agym_jax.offline.gown import GownMeasures, build_gown
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
 from agym_jax.sim.validate import check_task
@@ -66,7 +66,7 @@ def test_the_gown_has_the_measures_of_a_gown():
 
 
 def test_what_is_kept_is_what_the_script_cuts():
-    made, kept = cut(), load()
+    made, kept = build_gown(), load()
     np.testing.assert_allclose(made.vertices, kept.vertices, atol=1e-9)
     np.testing.assert_array_equal(made.triangles, kept.triangles)
     np.testing.assert_array_equal(made.cuff, kept.cuff)
@@ -74,7 +74,7 @@ def test_what_is_kept_is_what_the_script_cuts():
 
 @pytest.mark.parametrize("edge", [0.0241, 0.02, 0.017])
 def test_resolution_is_a_parameter(edge: float):
-    gown, rough = cut(Cut(edge=edge)), cut()
+    gown, rough = build_gown(GownMeasures(edge=edge)), build_gown()
     assert np.isclose(gown.areas.sum(), rough.areas.sum(), rtol=0.08)
     assert np.isclose(gown.cuff_perimeter, 0.52, atol=0.003)
     spec = build_cloth(gown)
@@ -103,9 +103,9 @@ def test_cloth_resists_bending_alike_at_any_resolution():
 
 
 def test_finer_cloth_gets_more_substeps_unless_somebody_says_how_many():
-    assert build_cloth(load()).substeps == USUAL_SUBSTEPS
-    fine = sheet(USUAL_EDGE * 10, USUAL_EDGE * 10, USUAL_EDGE / 2)
-    assert build_cloth(fine).substeps == 4 * USUAL_SUBSTEPS
+    assert build_cloth(load()).substeps == REFERENCE_SUBSTEPS
+    fine = sheet(REFERENCE_EDGE * 10, REFERENCE_EDGE * 10, REFERENCE_EDGE / 2)
+    assert build_cloth(fine).substeps == 4 * REFERENCE_SUBSTEPS
     assert build_cloth(fine, Fabric(substeps=3)).substeps == 3
 
 

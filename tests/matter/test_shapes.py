@@ -245,7 +245,7 @@ def test_what_tools_hold() -> None:
     [
         ({"count": 40}, 0.01, "40 particles of radius 0.005 m do not fit .* it holds 15"),
         ({"vessel": None}, 0.01, "8 particles need a vessel, got None"),
-        ({"substeps": 1}, 0.01, r"could cross a wall within one substep of 10.00 ms: the limit is 3.00 m/s.* substeps=2"),
+        ({"substeps": 1}, 0.01, r"could cross a wall within one substep of 10.00 ms; the limit is 3.00 m/s.* substeps=2"),
         ({"substeps": 0}, 0.01, "need substeps > 0, got 0"),
         ({"radius": -1.0}, 0.01, "need radius > 0"),
     ],

@@ -12,13 +12,13 @@ import pytest
 from agym_jax.matter.cloth.garment import load
 from agym_jax.matter.cloth.sleeve import (
     SleeveArm,
-    Worn,
+    SleeveState,
     crossed,
-    dressed,
+    dressing_distance,
     progress,
+    sleeve_state,
     surrounds,
     watched_vertices,
-    worn,
 )  # fmt: skip
 
 # AG's man: humans.md section 5
@@ -78,11 +78,11 @@ def test_watched_vertices_lie_around_the_opening():
 
 
 def test_on_the_forearm_on_the_upper_arm_or_on_nothing():
-    fore, upper = worn(on_forearm(0.5), MAN), worn(on_upper(0.5), MAN)
+    fore, upper = sleeve_state(on_forearm(0.5), MAN), sleeve_state(on_upper(0.5), MAN)
     assert fore.forearm and not fore.upper_arm
     assert upper.upper_arm and not upper.forearm
-    before = worn(on_forearm(-0.3), MAN)
-    beside = worn(on_forearm(0.5) + jnp.array([0.2, 0.0, 0.0]), MAN)
+    before = sleeve_state(on_forearm(-0.3), MAN)
+    beside = sleeve_state(on_forearm(0.5) + jnp.array([0.2, 0.0, 0.0]), MAN)
     for nothing in (before, beside):
         assert not nothing.forearm and not nothing.upper_arm
 
@@ -94,29 +94,31 @@ def test_points_must_lie_on_both_sides_in_both_directions():
 
 
 def test_a_sleeve_that_is_on_nothing_is_remembered_for_half_a_second():
-    off, was = worn(on_forearm(-0.3), MAN), Worn(YES, NO)
+    off, was = sleeve_state(on_forearm(-0.3), MAN), SleeveState(YES, NO)
     for look in range(8):
         was = off.after(was)
         assert bool(was.forearm) == (look < 5) and not was.upper_arm
-    again = worn(on_forearm(0.5), MAN).after(was)
-    assert again.forearm and again.unseen == 0
+    again = sleeve_state(on_forearm(0.5), MAN).after(was)
+    assert again.forearm and again.steps_off == 0
 
 
 def test_where_it_is_counts_before_where_it_was():
     # back from the upper arm: AG would go on paying for the upper arm, the more the farther back
-    back = worn(on_forearm(0.5), MAN).after(Worn(NO, YES))
+    back = sleeve_state(on_forearm(0.5), MAN).after(SleeveState(NO, YES))
     assert back.forearm and not back.upper_arm
 
 
 def test_r_dress_is_assistive_gyms():
-    nothing, fore, both = Worn(NO, NO), Worn(YES, NO), Worn(YES, YES)
+    nothing, fore, both = SleeveState(NO, NO), SleeveState(YES, NO), SleeveState(YES, YES)
     way = MAN.forearm_length - 0.043  # from the tip of the hand to the elbow
-    np.testing.assert_allclose(dressed(on_forearm(0.5), MAN, fore), 0.5 * way, rtol=1e-3)
-    np.testing.assert_allclose(dressed(on_forearm(0.5), MAN, nothing), -0.5 * way, rtol=1e-3)
-    np.testing.assert_allclose(dressed(on_forearm(1.5), MAN, fore), -1.5 * way, rtol=1e-3)
-    at = dressed(on_upper(0.5), MAN, both)
+    np.testing.assert_allclose(dressing_distance(on_forearm(0.5), MAN, fore), 0.5 * way, rtol=1e-3)
+    np.testing.assert_allclose(
+        dressing_distance(on_forearm(0.5), MAN, nothing), -0.5 * way, rtol=1e-3
+    )
+    np.testing.assert_allclose(dressing_distance(on_forearm(1.5), MAN, fore), -1.5 * way, rtol=1e-3)
+    at = dressing_distance(on_upper(0.5), MAN, both)
     np.testing.assert_allclose(at, MAN.forearm_length + 0.5 * MAN.upper_length, rtol=1e-3)
-    beyond = dressed(on_upper(1.2), MAN, both)
+    beyond = dressing_distance(on_upper(1.2), MAN, both)
     np.testing.assert_allclose(beyond, MAN.forearm_length, rtol=1e-3)
 
 

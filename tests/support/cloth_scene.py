@@ -14,12 +14,12 @@ from agym_jax.matter.cloth.garment import Garment
 from agym_jax.matter.cloth.sleeve import (
     SleeveArm,
     crossed,
-    dressed,
+    dressing_distance,
     progress,
+    sleeve_state,
     watched_vertices,
-    worn,
 )
-from agym_jax.matter.cloth.solver import Cloth, Touch, in_hand, initial, slip, step
+from agym_jax.matter.cloth.solver import Cloth, ClothContact, in_hand, initial, slip, step
 from agym_jax.matter.cloth.topology import ClothSpec
 from agym_jax.matter.shapes import Capsules, capsule_distances, no_capsules
 from agym_jax.tasks.dressing import BELOW_HAND, UP, held_at, swivel
@@ -127,7 +127,7 @@ def path_of(pull: Pull, places: Array, n: int) -> Array:
 
 def pull_on(
     spec: ClothSpec, pull: Pull, n: int, through: Callable[[SleeveArm], Array] = up_the_arm
-) -> tuple[Outcome, Cloth, Touch, Array]:
+) -> tuple[Outcome, Cloth, ClothContact, Array]:
     """Pull the gown in n physics steps: outcome, cloth and touch at the end, and all positions.
 
     Args:
@@ -150,11 +150,11 @@ def pull_on(
         cloth, touch = step(spec, cloth, capsules, capsules, *held, DT, in_hand(slid))
         slid = slip(slid, touch, DT)
         points = cloth.pos_w[watched]
-        latched = worn(points, arm).after(latched)
+        latched = sleeve_state(points, arm).after(latched)
         corners = cloth.pos_w[triangles]
         through = sum(crossed(axis[i], axis[i + 1], corners).sum() for i in range(3))
         off = _depth(cloth.pos_w, capsules, spec)
-        reached = dressed(points, arm, latched)
+        reached = dressing_distance(points, arm, latched)
         out = replace(
             out,
             progress=jnp.maximum(out.progress, progress(points, arm)),
@@ -171,7 +171,7 @@ def pull_on(
     zero = jnp.float32(0.0)
     out = Outcome(zero, zero, jnp.float32(-9.0), jnp.int32(0), zero, zero, zero, jnp.array(False))
     cloth = initial(spec, pos[0] - BELOW_HAND * UP)
-    nothing = worn(cloth.pos_w[watched] + 99.0, arm)
+    nothing = sleeve_state(cloth.pos_w[watched] + 99.0, arm)
     carry = (cloth, jnp.float32(0.0), jnp.zeros(3), nothing, out)
     (cloth, *_, out), (seen, touch) = jax.lax.scan(one, carry, (pos[:-1], pos[1:]))
     return out, cloth, jax.tree.map(lambda x: x[-1], touch), seen

@@ -17,7 +17,7 @@ from cloth_scene import Outcome, draw_pull, pull_on
 
 from agym_jax.matter.cloth.hang import settle
 from agym_jax.matter.cloth.topology import build_cloth
-from agym_jax.offline.gown import Cut, cut
+from agym_jax.offline.gown import GownMeasures, build_gown
 from benchmarks.markdown import RESULTS
 from train.runs.record import append_record, record
 
@@ -26,7 +26,7 @@ STEPS = 560  # of 10 ms, at 0.15 m/s, the slowest
 
 def main(count: int, batch: int, edge: float) -> None:
     """Pull, and print what came of it."""
-    gown = settle(cut(Cut(edge=edge)))
+    gown = settle(build_gown(GownMeasures(edge=edge)))
     spec = build_cloth(gown)
     pull = jax.jit(jax.vmap(lambda key: pull_on(spec, draw_pull(key), STEPS)[0]))
     keys = jax.random.split(jax.random.PRNGKey(0), count)

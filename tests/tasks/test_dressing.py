@@ -14,8 +14,8 @@ from cloth_scene import Pull, before_hand, draw_pull, pull_on
 from meal_scene import CHEST, FAR, TORSO, arrays, sensed
 
 from agym_jax import observe
-from agym_jax.matter.cloth.sleeve import Worn
-from agym_jax.matter.cloth.solver import LET_GO
+from agym_jax.matter.cloth.sleeve import SleeveState
+from agym_jax.matter.cloth.solver import MAX_SLIP
 from agym_jax.robots import ROBOTS
 from agym_jax.spec import Preferences
 from agym_jax.tasks.dressing import (
@@ -152,11 +152,13 @@ def test_success_at_40_cm_ever(best: float, won: bool):
 
 
 def test_the_best_stays_and_the_sleeve_is_remembered_for_a_moment():
-    state = replace(start(), on_arm=Worn(jnp.bool_(True), jnp.bool_(False)), best=jnp.float32(0.3))
+    state = replace(
+        start(), on_arm=SleeveState(jnp.bool_(True), jnp.bool_(False)), best=jnp.float32(0.3)
+    )
     after, _ = advance()(state, seen())
-    assert after.on_arm.forearm and after.on_arm.unseen == 1
+    assert after.on_arm.forearm and after.on_arm.steps_off == 1
     assert np.isclose(after.best, 0.3) and after.dressed < after.best
-    long_ago = replace(state, on_arm=replace(state.on_arm, unseen=jnp.int32(5)))
+    long_ago = replace(state, on_arm=replace(state.on_arm, steps_off=jnp.int32(5)))
     after, _ = advance()(long_ago, seen())
     assert not after.on_arm.forearm and np.isclose(after.best, 0.3)
 
@@ -260,7 +262,7 @@ def test_the_hand_and_what_it_holds_part_while_the_gown_is_caught():
 
 
 def test_a_gown_of_which_too_much_has_slid_through_is_out_of_the_hand():
-    far = jnp.array([LET_GO + 0.01, 0.0, 0.0])
+    far = jnp.array([MAX_SLIP + 0.01, 0.0, 0.0])
     cloth = start().cloth
     state = replace(start(), slid=far, cloth=replace(cloth, pos_w=cloth.pos_w + far))
     heights = [float(state.cloth.pos_w[:, 2].mean())]

@@ -1,1 +1,1 @@
-"""Gowns: cloth that is held, falls on limbs and is pulled up an arm."""
+"""Cloth: a garment that is held by a gripper and pulled over an arm."""

@@ -1,8 +1,8 @@
-"""Garments as triangle meshes with two named parts: the cuff's loop and the patch that the gripper holds.
+"""Garments: triangle meshes with two named parts, the loop of the cuff and the vertices that the gripper holds.
 
 The frame of a garment has its origin where it is held (the mean of the anchors), y in the direction in which
-it is pulled onto the arm, z up. ``load`` reads what ``agym_jax.offline.gown`` wrote, or anybody's own garment: an
-OBJ file and beside it a small description, a TOML file that is what is loaded::
+it is pulled onto the arm, z up. ``load`` reads a file that ``agym_jax.offline.gown`` wrote, or a garment of your
+own: a TOML description beside an OBJ file, of which the TOML file is loaded::
 
     mesh = "shirt.obj"          # in the same folder; faces with more than 3 corners are fanned
     scale = 0.01                # to metres; 1 if left out
@@ -10,7 +10,7 @@ OBJ file and beside it a small description, a TOML file that is what is loaded::
     cuff = [12]                 # one vertex of a boundary loop, or all of them in order; counted from 0
     anchors = [40, 41, 52]      # vertices that the gripper holds
 
-What could not be simulated is refused with the edge, triangle or loop that is wrong.
+Garments that could not be simulated are refused, with the edge, triangle or loop that is wrong.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from agym_jax.errors import AgymError, did_you_mean
 AG_AREA_DENSITY = 0.23 / 1.099
 """AG dressing.py reset: 0.23 kg on 1.099 m^2 [kg/m^2]."""
 GOWN = "garments/gown.npz"
-"""The hospital gown that comes with the package."""
+"""The hospital gown that is part of the package."""
 MIN_CUFF = 6
-"""Vertices of a cuff: fewer do not give the two triangles of the sleeve test."""
+"""Least vertices of a cuff: the sleeve test watches two triangles."""
 PARTS = {"mesh", "scale", "area_density", "cuff", "anchors"}
-"""What a description may name."""
+"""Keys of a description."""
 
 
 class GarmentError(AgymError, ValueError):
-    """A garment that could not be worn or simulated."""
+    """A garment that cannot be simulated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Garment:
-    """A triangle mesh at rest, in its own frame.
+    """A triangle mesh in its undeformed shape, in its own frame.
 
     Attributes:
         name: for messages.
@@ -52,8 +52,8 @@ class Garment:
         cuff: vertices of the loop that the sleeve test watches, in order, (c,).
         anchors: vertices that the gripper holds, (a,).
         area_density: [kg/m^2].
-        hanging: vertices as it hangs at rest from its anchors [m] (n, 3), see ``hang.settle``; None where
-            nobody has let it.
+        hanging: vertices at rest when it hangs from its anchors [m] (n, 3), see ``hang.settle``; None if not
+            computed.
     """
 
     name: str
@@ -66,23 +66,23 @@ class Garment:
 
     @property
     def areas(self) -> np.ndarray:
-        """Of the triangles [m^2] (t,)."""
+        """Areas of the triangles [m^2] (t,)."""
         a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1)
 
     @property
     def mass(self) -> float:
-        """Of the whole garment [kg]."""
+        """Mass of the garment [kg]."""
         return float(self.areas.sum() * self.area_density)
 
     @property
     def cuff_perimeter(self) -> float:
-        """[m]."""
+        """Length of the cuff's loop [m]."""
         loop = self.vertices[self.cuff]
         return float(np.linalg.norm(loop - np.roll(loop, -1, 0), axis=-1).sum())
 
     def edges(self) -> np.ndarray:
-        """Every edge once, the smaller vertex first (e, 2)."""
+        """Vertices of each edge, the smaller one first (e, 2)."""
         return np.unique(np.sort(_sides(self.triangles), axis=1), axis=0)
 
 
@@ -93,7 +93,7 @@ def load(name: str = GOWN) -> Garment:
         name: an asset or an absolute path: .npz, or .toml beside an OBJ file.
 
     Raises:
-        GarmentError: it is not a garment; the message says which edge, triangle or loop is wrong.
+        GarmentError: the file is not a garment; the message names the edge, triangle or loop that is wrong.
         MissingAssetError: no such file.
     """
     path = asset_path(name)
@@ -182,10 +182,10 @@ def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check(garment: Garment) -> None:
-    """Refuse what is not one piece of cloth with a cuff and anchors.
+    """Check that a mesh is one piece of cloth with a cuff and anchors.
 
     Raises:
-        GarmentError: the message says what is wrong where.
+        GarmentError: the message says what is wrong, and where.
     """
     name, n = garment.name, len(garment.vertices)
     if garment.vertices.shape != (n, 3) or not np.isfinite(garment.vertices).all():
@@ -215,14 +215,14 @@ def check(garment: Garment) -> None:
 
 
 def check_edges(garment: Garment, thinnest: float, thickness: float) -> None:
-    """Refuse edges so long that a limb's tip could come through between the vertices.
+    """Refuse edges so long that the tip of a limb could pass between the vertices.
 
     Only vertices are kept off a limb, by the thickness of the cloth. A sphere of radius r + thickness that
     rests on three vertices of an equilateral triangle sinks below their plane; it must not sink by more than
     the thickness.
 
     Args:
-        garment: checked.
+        garment: a checked garment.
         thinnest: radius of the thinnest limb [m].
         thickness: of the cloth [m].
 
@@ -243,12 +243,12 @@ def check_edges(garment: Garment, thinnest: float, thickness: float) -> None:
 
 
 def longest_edge(thinnest: float, thickness: float) -> float:
-    """Longest edge [m] through which a limb of a radius [m] does not come at a thickness [m]."""
+    """Longest edge [m] between whose vertices a limb of this radius [m] cannot pass, at a thickness of cloth [m]."""
     return float(np.sqrt(3.0 * ((thinnest + thickness) ** 2 - thinnest**2)))
 
 
 def _check_manifold(garment: Garment) -> None:
-    """Every edge in one or two triangles; one piece; no loose vertices."""
+    """Check that every edge has one or two triangles, and that the mesh is one piece without loose vertices."""
     name, n = garment.name, len(garment.vertices)
     count = Counter(map(tuple, np.sort(_sides(garment.triangles), axis=1).tolist()))
     for (a, b), times in count.items():
@@ -270,13 +270,13 @@ def _check_manifold(garment: Garment) -> None:
     if len(seen) < n:
         loose = min(set(range(n)) - seen)
         raise GarmentError(
-            f"{name} is not one piece: vertex {loose} hangs together with none of the {len(seen)} vertices around "
+            f"{name} is not one piece: vertex {loose} is not connected to the {len(seen)} vertices around "
             "vertex 0. Join the pieces (merge doubled vertices), or remove what is left over."
         )
 
 
 def _check_cuff(garment: Garment) -> None:
-    """A closed loop of edges of different vertices."""
+    """Check that the cuff is a closed loop of edges with different vertices."""
     name = garment.name
     cuff = _indices(name, "cuff", garment.cuff, len(garment.vertices)).tolist()
     if len(cuff) < MIN_CUFF or len(set(cuff)) < len(cuff):
@@ -288,17 +288,17 @@ def _check_cuff(garment: Garment) -> None:
         if (min(a, b), max(a, b)) not in edges:
             raise GarmentError(
                 f"{name}: the cuff is not a closed loop of edges: vertices {a} and {b} follow each other in it, but no "
-                "edge joins them. Name its vertices in order, or one vertex of a boundary."
+                "edge joins them. List its vertices in order, or one vertex of a boundary."
             )
 
 
 def boundary_loop(name: str, triangles: np.ndarray, vertex: int) -> np.ndarray:
-    """Vertices of the boundary through a vertex, in order.
+    """Vertices of the boundary loop through a vertex, in order.
 
     Args:
         name: of the garment, for messages.
         triangles: (t, 3).
-        vertex: where it begins.
+        vertex: first vertex of the loop.
     """
     sides = np.sort(_sides(triangles), axis=1)
     edges, times = np.unique(sides, axis=0, return_counts=True)
@@ -323,7 +323,7 @@ def boundary_loop(name: str, triangles: np.ndarray, vertex: int) -> np.ndarray:
 
 
 def _indices(name: str, what: str, values: object, n: int) -> np.ndarray:
-    """Integer array of vertices, or an error that names the first that does not exist."""
+    """Integer array of vertices; refuses vertices that do not exist."""
     array = np.asarray(values)
     if array.size == 0 or not np.issubdtype(array.dtype, np.integer):
         raise GarmentError(f"{name}: {what} must be numbers of vertices, got {values!r}.")

@@ -1,7 +1,8 @@
-"""A garment as it hangs from where it is held, with nothing near: how an episode begins.
+"""Settling of a garment that hangs freely from its anchors: the shape in which an episode begins.
 
 Assistive Gym drops the gown from its mesh at every reset and lets it settle for 2 s at half the gravity
-(dressing.py reset). Here it settles once, offline, until it is at rest.
+(dressing.py reset). Here it settles once, until it is at rest. The packaged gown has its hanging shape in the file;
+a garment without one is settled at first use.
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ from agym_jax.matter.cloth.topology import ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import no_capsules
 
 DT = 0.01  # physics step [s]
-TIME = 12.0  # [s]
-CALM = 4.0  # damping while it settles [1/s]
+DURATION = 12.0  # of settling [s]
+DAMPING = 4.0  # of velocities while it settles [1/s]
 
 
 def settle(garment: Garment, fabric: Fabric = Fabric()) -> Garment:  # noqa: B008  frozen
-    """The same garment, with ``hanging`` as it comes to rest.
+    """The same garment, with ``hanging`` set to the shape in which it comes to rest.
 
     Args:
         garment: upright in its frame, held at its anchors.
-        fabric: its properties.
+        fabric: properties of its cloth.
     """
-    spec: ClothSpec = build_cloth(garment, replace(fabric, damping=CALM))
+    spec: ClothSpec = build_cloth(garment, replace(fabric, damping=DAMPING))
     anchors, nothing = anchor_positions(spec, jnp.zeros(3)), no_capsules()
 
     @jax.jit
@@ -37,6 +38,6 @@ def settle(garment: Garment, fabric: Fabric = Fabric()) -> Garment:  # noqa: B00
         def one(cloth, _):
             return step(spec, cloth, nothing, nothing, anchors, anchors, DT)[0], None
 
-        return jax.lax.scan(one, initial(spec, jnp.zeros(3)), length=round(TIME / DT))[0].pos_w
+        return jax.lax.scan(one, initial(spec, jnp.zeros(3)), length=round(DURATION / DT))[0].pos_w
 
     return replace(garment, hanging=np.asarray(hang()))

@@ -1,13 +1,13 @@
-"""Is the sleeve on the arm, and how far: Assistive Gym's rules as pure functions of the cuff's six watched points.
+"""Whether and how far the sleeve is on the arm: Assistive Gym's rules as functions of six points on the cuff.
 
-Facts: reference tasks.md section 6. The points are two interleaved triangles that span the opening. The sleeve is
+Facts: reference tasks.md section 6. The points form two interleaved triangles that span the opening. The sleeve is
 on a segment of the arm where the segment crosses one of the triangles and the points lie on both sides of it.
-Everything is for one environment, in world coordinates, [m].
+All functions are for one environment, in world coordinates [m].
 
-DEVIATION(sleeve-now): what the sleeve is on counts, or was on within the last 0.5 s: in a pull round the elbow it
-is on neither segment for 0.2 to 0.4 s. AG's flags stay set for the rest of the episode, so that a sleeve that has
-once been on the forearm is paid for wherever it is: PPO learned to put it on, take it off and hold it beside the
-elbow. In 24 episodes of that policy no arm was in the sleeve at the end, and 9 counted as a success.
+DEVIATION(sleeve-now): what counts is the segment that the sleeve is on now, or was on within the last 0.5 s: in a
+pull around the elbow it is on neither segment for 0.2 to 0.4 s. AG's flags stay set for the rest of the episode, so
+that a sleeve that has once been on the forearm is rewarded wherever it is: PPO learned to put it on, take it off and
+hold it beside the elbow. In 24 episodes of that policy no arm was in the sleeve at the end, and 9 counted as a success.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ AG_LOOP = 26
 """Vertices of the cuff of AG's gown."""
 AG_TRIANGLES = ((0, 8, 16), (21, 4, 12))
 """Positions of AG's sleeve triangles on its cuff: AG dressing.py reset."""
-REMEMBERED = 5
-"""Looks, one a control step, for which a sleeve that is on nothing counts as on what it was."""
+MEMORY_STEPS = 5
+"""Control steps for which a sleeve that is on no segment counts as on the one it was on."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SleeveArm:
-    """Joints of the arm to be dressed."""
+    """Joints of the arm to be dressed, and its thickness."""
 
     shoulder_w: Array  # [m]                                                (3,)
     elbow_w: Array  # [m]                                                   (3,)
@@ -47,17 +47,17 @@ class SleeveArm:
 
     @property
     def elbow_end_w(self) -> Array:
-        """The elbow's skin, on the forearm's axis (3,)."""
+        """Surface of the elbow, on the forearm's axis (3,)."""
         return self.elbow_w + self.radius * _unit(self.elbow_w - self.wrist_w)
 
     @property
     def shoulder_end_w(self) -> Array:
-        """The shoulder's skin, on the upper arm's axis (3,)."""
+        """Surface of the shoulder, on the upper arm's axis (3,)."""
         return self.shoulder_w + self.radius * _unit(self.shoulder_w - self.elbow_w)
 
     @property
     def forearm_length(self) -> Array:
-        """From the tip of the hand to the elbow's skin ()."""
+        """From the tip of the hand to the surface of the elbow ()."""
         return _norm(self.hand_end_w - self.elbow_end_w)
 
     @property
@@ -68,37 +68,39 @@ class SleeveArm:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Worn:
-    """What the sleeve is on."""
+class SleeveState:
+    """Segments of the arm that the sleeve is on."""
 
     forearm: Array  # () bool
     upper_arm: Array  # () bool
-    unseen: Array = field(default_factory=lambda: jnp.int32(0))  # looks since it was on either ()
+    steps_off: Array = field(
+        default_factory=lambda: jnp.int32(0)
+    )  # control steps since it was on either ()
 
-    def after(self, earlier: Worn) -> Worn:
-        """What it is on, or where it is on nothing, what it was on until a few looks ago."""
+    def after(self, earlier: SleeveState) -> SleeveState:
+        """This state; if the sleeve is on no segment, the earlier state for ``MEMORY_STEPS`` control steps."""
         on = self.forearm | self.upper_arm
-        unseen = jnp.where(on, 0, jnp.minimum(earlier.unseen + 1, REMEMBERED + 1))
-        recall = ~on & (unseen <= REMEMBERED)
-        return Worn(
+        steps_off = jnp.where(on, 0, jnp.minimum(earlier.steps_off + 1, MEMORY_STEPS + 1))
+        recall = ~on & (steps_off <= MEMORY_STEPS)
+        return SleeveState(
             forearm=self.forearm | (recall & earlier.forearm),
             upper_arm=self.upper_arm | (recall & earlier.upper_arm),
-            unseen=unseen,
+            steps_off=steps_off,
         )
 
 
 def watched_vertices(garment: Garment) -> np.ndarray:
-    """Vertices of the two watched triangles, at AG's shares of the cuff's loop (2, 3)."""
+    """Vertices of the two triangles, at AG's fractions of the cuff's loop (2, 3)."""
     share = np.array(AG_TRIANGLES) / AG_LOOP
     return garment.cuff[np.round(share * len(garment.cuff)).astype(int) % len(garment.cuff)]
 
 
 def crossed(start_w: Array, end_w: Array, triangles_w: Array) -> Array:
-    """Which triangles a segment goes through (t,) bool.
+    """Which triangles a segment crosses (t,) bool.
 
     Args:
-        start_w: of the segment (3,).
-        end_w: of the segment (3,).
+        start_w: one end of the segment (3,).
+        end_w: the other end (3,).
         triangles_w: corners (t, 3, 3).
     """
     a, b, c = (triangles_w[:, i] for i in range(3))
@@ -109,7 +111,7 @@ def crossed(start_w: Array, end_w: Array, triangles_w: Array) -> Array:
 
 
 def surrounds(points_w: Array, distal_w: Array, proximal_w: Array) -> Array:
-    """Whether the watched points surround a segment of the arm () bool.
+    """Whether the six points surround a segment of the arm () bool.
 
     Args:
         points_w: the two triangles (2, 3, 3).
@@ -127,26 +129,26 @@ def surrounds(points_w: Array, distal_w: Array, proximal_w: Array) -> Array:
     return both & crossed(distal_w, proximal_w, points_w).any()
 
 
-def worn(points_w: Array, arm: SleeveArm) -> Worn:
-    """What the sleeve is on now.
+def sleeve_state(points_w: Array, arm: SleeveArm) -> SleeveState:
+    """Segments that the sleeve is on now.
 
     Args:
         points_w: the two triangles (2, 3, 3).
         arm: of the person.
     """
-    return Worn(
+    return SleeveState(
         forearm=surrounds(points_w, arm.hand_end_w, arm.elbow_end_w),
         upper_arm=surrounds(points_w, arm.elbow_end_w, arm.shoulder_end_w),
     )
 
 
-def dressed(points_w: Array, arm: SleeveArm, on_arm: Worn) -> Array:
-    """AG's r_dress [m] (): way up the arm, or minus the way to the hand.
+def dressing_distance(points_w: Array, arm: SleeveArm, on_arm: SleeveState) -> Array:
+    """AG's r_dress [m] (): distance along the arm, or minus the distance to the hand.
 
     Args:
         points_w: the two triangles (2, 3, 3).
         arm: of the person.
-        on_arm: what the sleeve is on or was on.
+        on_arm: segments that the sleeve is on or was on.
     """
     centre = points_w.reshape(6, 3).mean(0)
     from_hand, from_elbow = _norm(centre - arm.hand_end_w), _norm(centre - arm.elbow_w)
@@ -156,15 +158,15 @@ def dressed(points_w: Array, arm: SleeveArm, on_arm: Worn) -> Array:
 
 
 def progress(points_w: Array, arm: SleeveArm) -> Array:
-    """Share of the way from the tip of the hand to the shoulder that the sleeve has done now () in 0..1.
+    """How far the sleeve is up the arm: 0 at the tip of the hand, 1 at the shoulder ().
 
-    Zero while the sleeve is on neither segment. Unlike AG's, it means the same for a long and a short arm.
+    Zero while the sleeve is on neither segment. Unlike AG's distance, it is relative to the length of the arm.
 
     Args:
         points_w: the two triangles (2, 3, 3).
         arm: of the person.
     """
-    centre, on = points_w.reshape(6, 3).mean(0), worn(points_w, arm)
+    centre, on = points_w.reshape(6, 3).mean(0), sleeve_state(points_w, arm)
     forearm = arm.elbow_w - arm.hand_end_w
     upper = arm.shoulder_w - arm.elbow_w
     lengths = _norm(forearm), _norm(upper)

@@ -1,8 +1,8 @@
-"""From a garment to what the cloth solver needs: masses, coloured edges, bending pairs, tethers. NumPy, once.
+"""From a garment to the tables of the cloth solver: masses, coloured edges, bending pairs, tethers (NumPy).
 
-Edges are coloured so that no two of a colour share a vertex: all edges of a colour are relaxed at once, each
-wholly, which converges several times faster than averaging over neighbours and conserves momentum exactly.
-Tables have one row per colour (or neighbour) and one column per vertex: the solver only ever gathers. A vertex
+Edges are coloured so that no two of a colour share a vertex: all edges of a colour are projected at once,
+which converges several times faster than averaging over neighbours and conserves momentum exactly.
+Tables have one row per colour (or neighbour) and one column per vertex: the solver only gathers. A vertex
 without a partner in a row is its own partner.
 """
 
@@ -18,20 +18,20 @@ import numpy as np
 from agym_jax.matter.cloth.garment import Garment, GarmentError, check, check_edges
 
 SHEAR_RATIO = 1.2
-"""An edge longer than every other side of its triangles by this runs across the threads: it shears."""
+"""An edge that is longer than every other side of its triangles by this factor is a diagonal of the weave."""
 BENDING_SPRING = 15.0
 """Stiffness [N/m] of the spring between the two tips of a hinge, times their distance squared, over the bending
 rigidity: gives a right-angled fold of a triangle lattice the moment of a plate that is bent as much."""
-USUAL_EDGE = 0.52 / 22
-"""Edges for which this holds [m], the gown's. The moment of such a spring grows with the cube of the fold, and finer
-cloth folds less from hinge to hinge, so its springs are stiffer by the square of the fineness: equal curvature,
-equal moment at any resolution."""
-USUAL_SUBSTEPS = 5
-"""For such edges. Finer cloth takes more sweeps to be as stiff: more by the square of the fineness."""
-ANYWHERE = 1e6
-"""How far from its anchor a vertex may be while nothing holds the cloth [m]."""
-RELAXED = 1.0
-"""Bound on the share of a vertex's bending errors that one substep undoes; above 4/3 they could grow."""
+REFERENCE_EDGE = 0.52 / 22
+"""Length of edges [m] for which ``BENDING_SPRING`` holds, the gown's. The moment of such a spring grows with the cube
+of the fold, and finer cloth folds less per hinge, so its springs are stiffer by the square of the fineness: equal
+curvature gives an equal moment at any resolution."""
+REFERENCE_SUBSTEPS = 5
+"""Substeps for such edges. Finer cloth needs more, by the square of the fineness, to be as stiff."""
+UNTETHERED = 1e6
+"""Length of the tethers while nothing holds the cloth [m]."""
+MAX_SHARE = 1.0
+"""Bound on the share of a vertex's bending errors that one substep corrects; above 4/3 they could grow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +39,10 @@ class Pairs:
     """Distance constraints between vertices: at most one per vertex and row.
 
     Attributes:
-        partner: the other vertex, or the vertex itself for none, (r, n) int32.
-        rest: distance at rest [m], 1 for none, (r, n).
+        partner: the other vertex, or the vertex itself if it has none, (r, n) int32.
+        rest: distance at rest [m], 1 without a partner, (r, n).
         compliance: [m/N], (r, n).
-        active: 0 for none, (r, n).
+        active: 1, or 0 without a partner, (r, n).
     """
 
     partner: np.ndarray
@@ -53,18 +53,18 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Fabric:
-    """Properties of cloth and of its solver. Hashable; ``build_cloth`` joins it with a garment.
+    """Properties of cloth and of its solver. Hashable; ``build_cloth`` combines it with a garment.
 
     Attributes:
-        stretch: compliance along the threads [m/N]: cotton gives a few percent at 100 N/m.
+        stretch: compliance along the threads [m/N]: cotton stretches by a few percent at 100 N/m.
         shear: compliance of a diagonal [m/N].
         bending: rigidity [N m]: cotton of 0.2 kg/m^2 that bends under its own weight at 2.5 cm.
         thickness: distance at which vertices are kept from solids [m].
-        friction: with everything. AG: kDF 0.25.
+        friction: coefficient. AG: kDF 0.25.
         damping: of velocities, air drag [1/s].
         gravity: along world z [m/s^2].
-        substeps: in one physics step of 10 ms; each is one sweep over the edges. None: as many as its edges need.
-        max_speed: vertices are never faster [m/s].
+        substeps: per physics step of 10 ms, of one sweep each. None: as many as the length of the edges needs.
+        max_speed: bound on the speed of a vertex [m/s].
     """
 
     stretch: float = 1e-4
@@ -80,16 +80,16 @@ class Fabric:
 
 @dataclass(frozen=True, eq=False)
 class ClothSpec:
-    """A garment made ready for the solver; a constant of compiled programs.
+    """A garment with the tables of the solver; a constant of compiled programs.
 
     Attributes:
-        fabric: properties.
-        substeps: in one physics step of 10 ms.
-        garment: n vertices, at rest where they begin.
+        fabric: properties of the cloth.
+        substeps: per physics step of 10 ms.
+        garment: n vertices, at rest in their initial positions.
         mass: of the vertices [kg], (n,).
         held: index among the anchors, -1 for a free vertex, (n,).
-        edges: one row per colour, (c, n).
-        hinges: one row per neighbour, (b, n): opposite tips of the two triangles of an edge.
+        edges: distance constraints of the edges, one row per colour, (c, n).
+        hinges: bending springs between the opposite tips of an edge's two triangles, one row per neighbour, (b, n).
         tether: index of the nearest anchor along the cloth, (n,).
         reach: distance to it along the cloth [m], (n,).
     """
@@ -112,24 +112,24 @@ class ClothSpec:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Sweep:
-    """What one sweep reads of pairs: row by row, while the cloth is held [0] and while it is not [1]."""
+class PairTable:
+    """Tables of distance constraints: while the cloth is held [0] and while it is not [1]."""
 
     partner: np.ndarray  # the other vertex                                 (2, r, n) int32
     rest: np.ndarray  # distance at rest [m]                                (2, r, n)
-    share: np.ndarray  # of the pair's error that a vertex undoes           (2, r, n)
+    share: np.ndarray  # of the pair's error that a vertex corrects         (2, r, n)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """What a substep reads of the cloth: while it is held [0] and while it is not [1]."""
+    """Tables of a substep: while the cloth is held [0] and while it is not [1]."""
 
-    hinges: Sweep
-    edges: Sweep
-    free: np.ndarray  # 1 for vertices that nothing holds, else 0           (2, 1, n)
-    tether: np.ndarray  # the anchor that holds it, or else the nearest     (2, 1, n) int32
-    reach: np.ndarray  # no vertex is farther from it [m]                   (2, 1, n)
+    hinges: PairTable
+    edges: PairTable
+    free: np.ndarray  # 1 for vertices that are not held, else 0            (2, 1, n)
+    tether: np.ndarray  # the vertex's own anchor, or else the nearest      (2, 1, n) int32
+    reach: np.ndarray  # greatest distance from it [m]                      (2, 1, n)
 
 
 def tables(spec: ClothSpec, h: float) -> Tables:
@@ -139,16 +139,16 @@ def tables(spec: ClothSpec, h: float) -> Tables:
     hinge, edge = zip(*(_all_shares(spec, held, h) for held in cases), strict=True)
     both = lambda x: np.stack([x, x])  # noqa: E731
 
-    def sweep(pairs: Pairs, shares: tuple[np.ndarray, ...]) -> Sweep:
+    def sweep(pairs: Pairs, shares: tuple[np.ndarray, ...]) -> PairTable:
         rest, share = (x.astype(np.float32) for x in (both(pairs.rest), np.stack(shares)))
-        return Sweep(partner=both(pairs.partner.astype(np.int32)), rest=rest, share=share)
+        return PairTable(partner=both(pairs.partner.astype(np.int32)), rest=rest, share=share)
 
     return Tables(
         hinges=sweep(spec.hinges, hinge),
         edges=sweep(spec.edges, edge),
         free=np.stack([~held[None] for held in cases]).astype(np.float32),
         tether=both(np.where(anchored, spec.held, spec.tether).astype(np.int32)[None]),
-        reach=np.stack([spec.reach[None], np.full((1, spec.count), ANYWHERE)]).astype(np.float32),
+        reach=np.stack([spec.reach[None], np.full((1, spec.count), UNTETHERED)]).astype(np.float32),
     )
 
 
@@ -156,25 +156,25 @@ def _all_shares(spec: ClothSpec, held: np.ndarray, h: float) -> tuple[np.ndarray
     """Shares of hinges and of edges, (r, n) each, while some vertices (n,) are held."""
     inverse = np.where(held, 0.0, 1.0 / spec.mass)
     hinge, edge = (_shares(p, inverse, h) for p in (spec.hinges, spec.edges))
-    crowd = np.maximum(hinge.sum(0), 1e-9) / RELAXED
-    # the same for both of a pair: momentum stays
-    crowd = np.maximum(crowd, crowd[spec.hinges.partner])
-    return hinge / np.maximum(crowd, 1.0), edge
+    excess = np.maximum(hinge.sum(0), 1e-9) / MAX_SHARE
+    # the same for both vertices of a pair, which conserves momentum
+    excess = np.maximum(excess, excess[spec.hinges.partner])
+    return hinge / np.maximum(excess, 1.0), edge
 
 
 def _shares(pairs: Pairs, inverse: np.ndarray, h: float) -> np.ndarray:
-    """Share of a pair's error that its first vertex undoes in a substep (r, n)."""
+    """Share of a pair's error that its first vertex corrects in a substep (r, n)."""
     both = inverse + inverse[pairs.partner] + pairs.compliance / h**2
     return pairs.active * inverse / np.maximum(both, 1e-12)
 
 
 def build_cloth(garment: Garment, fabric: Fabric = Fabric(), thinnest: float = 0.027) -> ClothSpec:
-    """Make a garment ready for the solver.
+    """Check a garment and build the tables of the solver.
 
     Args:
-        garment: checked here.
-        fabric: its properties.
-        thinnest: radius of the thinnest limb [m]; the forearm of AG's woman is the default.
+        garment: a triangle mesh.
+        fabric: properties of its cloth.
+        thinnest: radius of the thinnest limb [m]; by default the forearm of AG's woman.
 
     Raises:
         GarmentError: the garment, or its fabric, cannot be simulated.
@@ -190,12 +190,12 @@ def build_cloth(garment: Garment, fabric: Fabric = Fabric(), thinnest: float = 0
     edges, hinges = garment.edges(), _hinges(garment.triangles)
     shears, lengths = _shears(garment, edges), _lengths(garment, edges)
     apart = _lengths(garment, hinges)
-    fineness = USUAL_EDGE / float(np.median(lengths[~shears]))
+    fineness = REFERENCE_EDGE / float(np.median(lengths[~shears]))
     spring = BENDING_SPRING * fineness**2 * max(fabric.bending, 1e-12)
     tether, reach = _tethers(garment, np.concatenate([edges, hinges]))
     return ClothSpec(
         fabric=fabric,
-        substeps=fabric.substeps or max(1, math.ceil(USUAL_SUBSTEPS * fineness**2 - 1e-6)),
+        substeps=fabric.substeps or max(1, math.ceil(REFERENCE_SUBSTEPS * fineness**2 - 1e-6)),
         garment=garment,
         mass=mass,
         held=held,
@@ -234,7 +234,7 @@ def _hinges(triangles: np.ndarray) -> np.ndarray:
 
 
 def _shears(garment: Garment, edges: np.ndarray) -> np.ndarray:
-    """Which edges are the longest of all their triangles by far (e,) bool."""
+    """Which edges are diagonals of the weave: the longest of their triangles by far (e,) bool."""
     key = {tuple(e): i for i, e in enumerate(edges.tolist())}
     length = _lengths(garment, edges)
     shears = np.ones(len(edges), bool)
@@ -247,10 +247,10 @@ def _shears(garment: Garment, edges: np.ndarray) -> np.ndarray:
 
 
 def _colours(edges: np.ndarray) -> np.ndarray:
-    """Colours of edges, so that no two of a colour meet: as many as edges meet anywhere, or few more (e,).
+    """Colours of edges (e,): no two edges of a colour share a vertex.
 
-    Where no colour is free at both ends, the chain of edges of one end's and the other end's free colours is
-    swapped (Kempe).
+    As many colours as the greatest degree of a vertex, or few more. Where no colour is free at both ends of an edge,
+    two colours are swapped along a chain of edges (Kempe chain).
     """
     at: list[dict[int, int]] = [{} for _ in range(int(edges.max()) + 1)]  # vertex: colour -> edge
     most = int(np.bincount(edges.ravel()).max())
@@ -299,7 +299,7 @@ def _colours(edges: np.ndarray) -> np.ndarray:
 def _rows(
     n: int, pairs: np.ndarray, rest: np.ndarray, compliance: np.ndarray, colour: np.ndarray | None
 ) -> Pairs:
-    """Tables of pairs: a row per colour, or without colours each vertex's pairs one below the other."""
+    """Tables of pairs: one row per colour; without colours, each vertex's pairs fill the first free rows."""
     if colour is None:
         places, filled = [], np.zeros(n, int)
         for a, b in pairs.tolist():
@@ -324,9 +324,9 @@ def _rows(
 
 
 def _tethers(garment: Garment, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Nearest anchor along the cloth, as an index among the anchors, and the way to it [m], each (n,).
+    """Nearest anchor along the cloth, as an index among the anchors, and the distance to it [m], each (n,).
 
-    The way follows edges and hinges, so it is a few percent longer than the shortest one at most.
+    The path follows edges and hinges, so it is at most a few percent longer than the shortest one.
     """
     n = len(garment.vertices)
     near: list[list[tuple[int, float]]] = [[] for _ in range(n)]
@@ -340,7 +340,7 @@ def _tethers(garment: Garment, links: np.ndarray) -> tuple[np.ndarray, np.ndarra
         if d >= reach[vertex]:
             continue
         reach[vertex], tether[vertex] = d, slot
-        for other, way in near[vertex]:
-            if d + way < reach[other]:
-                heapq.heappush(queue, (d + way, other, slot))
+        for other, step in near[vertex]:
+            if d + step < reach[other]:
+                heapq.heappush(queue, (d + step, other, slot))
     return tether, reach

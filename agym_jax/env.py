@@ -12,6 +12,7 @@ DEVIATION(one-key): everything random follows from the key (AG's sex and impairm
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Callable
 from typing import Any
@@ -78,12 +79,15 @@ class AssistiveEnv:
             self.impl, self.scene, self.controller, task.control.frame_skip, num_envs
         )
         self._bank = load_bank(task, robot)
-        # the stages around the physics; one that JAX cannot trace has them compiled one by one
+        self._set_stages()
+        if self.physics.traceable:
+            _introduce_to_brax()
+
+    def _set_stages(self) -> None:
+        """The stages around the physics; where JAX cannot trace it, they are compiled one by one."""
         stage = self.physics.stage
         self._sample, self._init_task = stage(self._sample_episode), stage(self._begin_task)
         self._targets, self._evaluate = stage(self.controller.targets), stage(self._evaluate_step)
-        if self.physics.traceable:
-            _introduce_to_brax()
 
     # -- sizes ---------------------------------------------------------------------------------
 
@@ -150,7 +154,10 @@ class AssistiveEnv:
 
     def sized_for(self, num_envs: int) -> AssistiveEnv:
         """The same environment with Warp's buffers for so many environments at once."""
-        return AssistiveEnv(self.task, self.robot, self.active, self.impl, self.humans, num_envs)
+        sized = copy.copy(self)
+        sized.num_envs, sized.physics = num_envs, self.physics.sized_for(num_envs)
+        sized._set_stages()
+        return sized
 
     # -- the two pure functions ----------------------------------------------------------------
 

@@ -17,16 +17,12 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
-from agym_jax.compat.switch import enabled
-
-JAX_VERSIONS = ((0, 10), (0, 12))
-"""From the first of these versions, and before the second, it is applied."""
+from agym_jax.compat.switch import applies
 
 
 def needed() -> bool:
     """Whether this JAX is one of those that crash, and nobody has switched the repair off."""
-    version = tuple(int(part) for part in jax.__version__.split(".")[:2])
-    return JAX_VERSIONS[0] <= version < JAX_VERSIONS[1] and enabled("shardy_empty")
+    return applies("shardy_empty", "jax", "0.10", "0.12")
 
 
 @jax.tree_util.register_static

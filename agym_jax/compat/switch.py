@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import os
 import pkgutil
+from importlib import metadata
 from pathlib import Path
 
 from agym_jax.errors import AgymError, UnknownNameError
@@ -64,3 +65,25 @@ def enabled(name: str) -> bool:
             f"(only these are applied) or names with '-' before each (all others are)."
         )
     return name in chosen if chosen else name not in left_out
+
+
+def applies(name: str, package: str, first: str, before: str) -> bool:
+    """Whether a repair is switched on and meant for the installed version of a package.
+
+    Args:
+        name: of the repair.
+        package: that it repairs, as it is installed.
+        first: the first version it is known to be needed for.
+        before: the first version nobody has looked at.
+    """
+    try:
+        installed = _parts(metadata.version(package))
+    except metadata.PackageNotFoundError:
+        return False
+    return enabled(name) and _parts(first) <= installed < _parts(before)
+
+
+def _parts(version: str) -> tuple[int, ...]:
+    """Numbers of a version: ``"3.17.0rc1"`` is (3, 17, 0)."""
+    digits = ("".join(c for c in part if c.isdigit()) or "0" for part in version.split(".")[:3])
+    return tuple(int(part) for part in digits)

@@ -14,18 +14,27 @@ import math
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import jax
 import mujoco
 
+from agym_jax.compat.switch import applies
+
 Build = tuple[Any, int]  # a module of kernels, and threads in a block
 BLOCK = 256  # Warp's default of the latter on a GPU
 
 
+_pending: list[Future[Any]] = []
+_in_background = False
+
+
 def compile_kernels(model: mujoco.MjModel, rows: int, contacts: int, warn_overflow: int) -> None:
-    """Have what stepping a model takes on JAX's first device compiled and loaded.
+    """Begin to compile and load what stepping a model takes on JAX's first device.
+
+    ``wait_for_kernels`` says when it is done. Where the repair is switched off, Warp compiles each kernel when it
+    is first launched.
 
     Args:
         model: with the solver's limits as they will be.
@@ -33,14 +42,34 @@ def compile_kernels(model: mujoco.MjModel, rows: int, contacts: int, warn_overfl
         contacts: for each environment.
         warn_overflow: as in MuJoCo Warp's options.
     """
+    if not applies("warp_kernels", "warp-lang", "1.12", "2.0"):
+        return
     import warp
 
     device = warp.device_from_jax(jax.local_devices()[0])
     with warp.ScopedDevice(device):
         builds = launched(model, rows, contacts, warn_overflow)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for done in [pool.submit(module.load, device, block) for module, block in builds]:
-            done.result()
+    pool = ThreadPoolExecutor(os.cpu_count())
+    _pending.extend(pool.submit(module.load, device, block) for module, block in builds)
+    pool.shutdown(wait=False)
+
+
+def wait_for_kernels() -> None:
+    """Return when all kernels that were begun are loaded; at once within ``kernels_in_background``."""
+    while _pending and not _in_background:
+        _pending.pop().result()
+
+
+@contextlib.contextmanager
+def kernels_in_background() -> Iterator[None]:
+    """Trace and compile JAX's programs while kernels are still compiling; waits for them at the end."""
+    global _in_background
+    before, _in_background = _in_background, True
+    try:
+        yield
+    finally:
+        _in_background = before
+    wait_for_kernels()
 
 
 def launched(

@@ -14,13 +14,17 @@ import functools
 import threading
 from typing import Any
 
+from agym_jax.compat.switch import applies
+
 _lock = threading.RLock()  # the collector may come while it is held
 _wrappers: dict[int, set[int]] = {}
 
 
 @functools.cache
 def hold_streams() -> None:
-    """Patch Warp, once."""
+    """Patch Warp, once, where it is needed and not switched off."""
+    if not applies("warp_streams", "warp-lang", "1.12", "2.0"):
+        return
     import warp
 
     begin, end = warp.Stream.__init__, warp.Stream.__del__

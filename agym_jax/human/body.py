@@ -272,7 +272,7 @@ def fields(
         root_quat: orientation of the chest, world (4,) wxyz.
         xp: numpy or jax.numpy.
     """
-    rows: dict[str, list] = {name: [] for name in BodyFields._fields}
+    rows: dict[str, list] = {name: [] for name in ("body_pos", "body_quat", "jnt_pos")}
     world: dict[str, tuple[Array, Array]] = {}  # poses of links that do not move
     zero = 0.0 * d.mass
     for link in LINKS:
@@ -281,9 +281,8 @@ def fields(
             pos, quat = xp.asarray(root) + pivots[0], xp.asarray(root_quat) + zero
         elif is_free(link, free):
             pos, quat = sum(pivots[1:], pivots[0]), xp.asarray((1.0, 0.0, 0.0, 0.0)) + zero
-            for i, joint in enumerate(link.joints):
+            for i in range(len(link.joints)):
                 rows["jnt_pos"].append(-sum(pivots[i + 1 :], 0.0 * pivots[0]))
-                rows["jnt_range"].append(joint_limits((joint.name,), limit_scale, xp)[0])
         else:
             pos, quat = _welded(link, pivots, angles, limit_scale, xp)
         if link.parent and not parent_in_model(link, free):
@@ -292,19 +291,29 @@ def fields(
             quat = quat_mul(parent_quat, quat, xp)
         if not parent_in_model(link, free) and not is_free(link, free):
             world[link.name] = (pos, quat)
-        s = shape(link.name, d)
-        mass = link.mass * d.mass
-        centre = xp.stack([xp.asarray(c) for c in s.centre])
         rows["body_pos"].append(pos)
         rows["body_quat"].append(quat)
-        rows["body_mass"].append(mass)
-        rows["body_ipos"].append(centre)
-        rows["body_inertia"].append(xp.stack(solid_inertia(s, mass)))
-        rows["geom_size"].append(xp.stack([s.radius, s.length / 2, zero]))
-        rows["geom_pos"].append(centre)
-        rows["geom_rbound"].append(s.radius + s.length / 2)
-    empty = {"jnt_pos": (0, 3), "jnt_range": (0, 2)}
-    return BodyFields(**{k: xp.stack(v) if v else xp.zeros(empty[k]) for k, v in rows.items()})
+    shapes = [shape(link.name, d) for link in LINKS]
+    radius, half = (
+        xp.stack([xp.asarray(x) for x in values])
+        for values in ([s.radius for s in shapes], [s.length / 2 for s in shapes])
+    )
+    masses = [link.mass * d.mass for link in LINKS]
+    inertia = [xp.stack(solid_inertia(s, m)) for s, m in zip(shapes, masses, strict=True)]
+    centre = xp.stack([xp.stack([xp.asarray(c) for c in s.centre]) for s in shapes])
+    moving = tuple(j.name for link in LINKS if is_free(link, free) for j in link.joints)
+    return BodyFields(
+        body_pos=xp.stack(rows["body_pos"]),
+        body_quat=xp.stack(rows["body_quat"]),
+        body_mass=xp.stack([xp.asarray(m) for m in masses]),
+        body_ipos=centre,
+        body_inertia=xp.stack(inertia),
+        geom_size=xp.stack([radius, half, 0.0 * radius], -1),
+        geom_pos=centre,
+        geom_rbound=radius + half,
+        jnt_pos=xp.stack(rows["jnt_pos"]) if moving else xp.zeros((0, 3)),
+        jnt_range=joint_limits(moving, limit_scale, xp) if moving else xp.zeros((0, 2)),
+    )
 
 
 def _welded(

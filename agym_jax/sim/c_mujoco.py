@@ -130,6 +130,10 @@ class NativePhysics:
         self._human_of = jax.jit(human_of)
         self._limit_torque = jax.jit(controller.limit_torque)
 
+    def sized_for(self, num_envs: int) -> NativePhysics:
+        """The same: its buffers grow."""
+        return self
+
     def stage(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function, compiled by itself."""
         return jax.jit(function)

@@ -13,8 +13,9 @@ import mujoco
 import numpy as np
 from jax import Array
 
-from agym_jax.compat.mjx_quat import apply, mjx
-from agym_jax.compat.warp_kernels import compile_kernels
+from agym_jax.compat import mjx_quat, mjx_trace
+from agym_jax.compat.mjx_print import mjx
+from agym_jax.compat.warp_kernels import compile_kernels, wait_for_kernels
 from agym_jax.compat.warp_streams import hold_streams
 from agym_jax.sense import Motion
 from agym_jax.sim.control import Controller, ControlTargets
@@ -30,7 +31,8 @@ from agym_jax.sim.sensing import (
 )
 from agym_jax.state import Episode, strong
 
-apply()
+mjx_quat.apply()
+mjx_trace.apply()
 
 WARP_CONTACTS_PER_ENV = 24
 WARP_ROWS_PER_ENV = 128
@@ -66,6 +68,12 @@ class MjxPhysics:
             self.model = put_model(scene.model, impl)
         self._static = np.flatnonzero(scene.model.body_weldid[scene.model.geom_bodyid] == 0)
 
+    def sized_for(self, num_envs: int) -> MjxPhysics:
+        """The same physics with Warp's buffers for so many environments at once."""
+        sized = copy.copy(self)
+        sized.num_envs = num_envs
+        return sized
+
     def stage(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function as it is: the caller compiles it with the physics."""
         return function
@@ -81,6 +89,7 @@ class MjxPhysics:
 
     def reset(self, data: mjx.Data, episode: Episode, where: Array | None = None) -> mjx.Data:
         """Everything at rest at the start of an episode. Warp's data must not be selected whole."""
+        wait_for_kernels()
         fresh = {name: jnp.zeros_like(getattr(data, name)) for name in AT_REST}
         fresh["qpos"] = start_qpos(self.scene, episode)
         if where is not None:
@@ -95,6 +104,7 @@ class MjxPhysics:
         self, data: mjx.Data, episode: Episode, targets: ControlTargets
     ) -> tuple[mjx.Data, ContactSums, Motion]:
         """One control step."""
+        wait_for_kernels()
         index, model = self.scene.index, self.model_of(episode)
         muscles = self.controller.muscles(episode.human)
         data = data.replace(ctrl=data.ctrl.at[index.robot_ctrl].set(targets.goal))

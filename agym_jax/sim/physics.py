@@ -29,6 +29,10 @@ class Physics(Protocol):
     traceable: bool
     """Whether JAX can trace it (``jit``, ``vmap``); if not, only what is around it is compiled."""
 
+    def sized_for(self, num_envs: int) -> Physics:
+        """The same physics with buffers for so many environments at once."""
+        ...
+
     def stage(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """A pure function that runs before or after the physics: as it is, or compiled by itself."""
         ...

@@ -242,8 +242,9 @@ def _make_agent(config: LearnConfig, env: Any, name: str) -> Agent:
     part = parts(env)[name]
     arch = architecture(config, *part.sizes)
     path = getattr(config, f"{name}_policy", None)
-    start = None if path is None else read_policy(path)
-    if start is not None:
+    start = None
+    if path is not None:
+        start = read_policy(path)
         check_policy(start, env, path, agent=name)
         arch = replace(start.arch, value_hidden=arch.value_hidden)
     size = env.observation_size

@@ -19,6 +19,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
+from agym_jax.compat.warp_kernels import kernels_in_background
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
 
@@ -182,6 +183,16 @@ def _compile(
         common, own = shardings(mesh)
         first, run = shard(mesh, first, run)
         learner, key = replicate(mesh, (learner, key))
+    with kernels_in_background():
+        go, begin = _lower_and_compile(first, run, config, learner, key, (common, own))
+    return learner, jax.block_until_ready(begin(key)), go
+
+
+def _lower_and_compile(
+    first: Callable, run: Callable, config: LearnConfig, learner: Any, key: jax.Array, where: tuple
+) -> list[Any]:
+    """The compiled programs that continue and begin the environments."""
+    common, own = where
     # XLA would leave Warp's empty buffers anywhere, so every place is said.
     reset = jax.jit(first, out_shardings=own).lower(key)
     rollout = jax.tree.map(
@@ -190,8 +201,7 @@ def _compile(
     update = jax.jit(run, out_shardings=(common, own, common))
     update = update.lower(learner, rollout, np.int32(1), Hyper.of(config, 1))
     options = GPU_OPTIONS if jax.default_backend() == "gpu" else None
-    go, begin = compile_together(update, reset, options=options)
-    return learner, jax.block_until_ready(begin(key)), go
+    return compile_together(update, reset, options=options)
 
 
 def _say_resumed(

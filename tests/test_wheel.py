@@ -127,7 +127,16 @@ def test_a_film_is_drawn(installed: Installed):
     assert (installed.folder / "film.gif").read_bytes()[:3] == b"GIF"
 
 
-@pytest.mark.parametrize("command", ["train", "coop", "crossplay", "demo"])
+def test_a_policy_is_trained_measured_and_loaded(installed: Installed):
+    words = "--env-name ReachingJaco-v0 --num-env-steps 80 --num-envs 4 --num-mini-batch 1 --save-dir runs"
+    assert "ReachingJaco-v0: trained 80 steps" in installed.agym_jax("train", *words.split())
+    words = "--env-name ReachingJaco-v0 --load-dir runs --num-episodes 1 --impl native"
+    assert "ReachingJaco-v0, 1 episodes" in installed.agym_jax("evaluate", *words.split())
+    code = "import agym_jax; print(agym_jax.load_policy('runs/ReachingJaco-v0').info['env_steps'])"
+    assert installed.run("-c", code).strip() == "80"
+
+
+@pytest.mark.parametrize("command", ["coop", "crossplay", "demo"])
 def test_the_other_tools_start(installed: Installed, command: str):
     assert f"usage: python -m agym_jax {command} " in installed.agym_jax(command, "--help")
 

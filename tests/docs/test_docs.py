@@ -5,19 +5,31 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import io
 import json
 import re
 import subprocess
 import tomllib
+from contextlib import redirect_stdout, suppress
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from paths import ROOT
 
 import agym_jax
+from agym_jax.__main__ import ALIASES, COMMANDS, find
 from benchmarks import deviations, tables
 
 README = (ROOT / "README.md").read_text()
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
+PAGES = [
+    "README.md",
+    "CONTRIBUTING.md",
+    *sorted(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md")),
+]
 RESULT = {
     "env": "ScratchItchJaco-v0",
     "impl": "warp",
@@ -81,25 +93,120 @@ def test_first_command_of_the_readme_comes_early_and_helps_a_person():
     assert len(README.splitlines()) <= 200
 
 
-@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
-def test_commands_in_the_documents_exist(name):
+@pytest.mark.parametrize("name", PAGES)
+def test_commands_and_links_in_the_documents_exist(name):
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     text = (ROOT / name).read_text()
-    modules = re.findall(r"python -m ([a-z_.]+)", text)
-    assert modules
-    for module in modules:
+    for module in re.findall(r"python -m ([a-z_.]+)", text):
         known = module in ("venv", "pytest") or importlib.util.find_spec(module.rstrip("."))
         assert known, f"python -m {module}"
+    commands_named = re.findall(r"agym-jax ([a-z-]+)", "\n".join(code_in(text)))
+    assert set(commands_named) <= {*COMMANDS, *ALIASES}
     for group in re.findall(r"\[([a-z,]+)\]\"", text):
         assert set(group.split(",")) <= set(extras["optional-dependencies"]), group
-    for path in re.findall(r"\]\(([^)#:]+)\)", text):
-        in_images = path.startswith("docs/images/")  # drawn from a trained policy
-        assert in_images or (ROOT / path).exists(), path
+    for path in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
+        in_images = "images/" in path  # drawn from a trained policy
+        assert in_images or ((ROOT / name).parent / path).resolve().exists(), path
+    for path, heading in re.findall(r"\]\(([^)#:]*\.md)#([^)]+)\)", text):
+        assert heading in headings(((ROOT / name).parent / path).read_text()), f"{path}#{heading}"
+
+
+def code_in(text: str) -> list[str]:
+    """Commands in a page: lines of shell blocks, and what stands between single backticks."""
+    prose = re.sub(r"^```.*?^```$", "", text, flags=re.S | re.M)
+    inline = [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", prose)]
+    return [line.partition(" #")[0] for line in commands(text)] + inline
+
+
+def headings(text: str) -> set[str]:
+    """Anchors that GitHub gives to a page's headings."""
+    found = re.findall(r"^#+ (.*)", text, re.M)
+    return {re.sub(r"[^\w -]", "", x).lower().replace(" ", "-") for x in found}
+
+
+TOOL = re.compile(r"(?:agym-jax|python -m agym_jax|python -m (train|benchmarks)\.) ?([a-z_-]+)")
+
+
+@cache
+def flags(tool: str) -> set[str]:
+    """What ``--help`` of a command lists: of ``agym-jax evaluate``, or of ``benchmarks.nan``."""
+    run = importlib.import_module(tool).main if "." in tool else find(tool)
+    said = io.StringIO()
+    with redirect_stdout(said), suppress(SystemExit):
+        run(["build", "--help"] if tool == "placements" else ["--help"])
+    return set(re.findall(r"--[a-z][a-z-]*", said.getvalue()))
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_flags_in_the_documents_exist(name, monkeypatch):
+    """Of the command that they are given to; those without one, of any command."""
+    monkeypatch.setenv("COLUMNS", "200")
+    for code in code_in((ROOT / name).read_text()):
+        used = set(re.findall(r"(?<!\S)--[a-z][a-z-]*", code))
+        if not used or re.match(r"(python3|ruff|pytest|.*--check)\b", code):
+            continue
+        named = TOOL.search(code)
+        tools = set(COMMANDS) - {"list", "observe"}
+        if named:
+            tools = {f"benchmarks.{named[2]}" if named[1] == "benchmarks" else named[2]}
+        assert used <= set().union(*map(flags, tools)), code
 
 
 def test_environments_in_the_readme_exist():
-    named = set(re.findall(r"\b[A-Z]\w+-v\d+\b", README))
+    named = set(re.findall(r"(?<![\w.])[A-Z]\w+-v\d+\b", README))
     assert named and named <= set(agym_jax.list_envs())
+
+
+MANY, GYMNASIUM = re.findall(r"^```python\n(.*?)^```$", README, re.S | re.M)
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_the_first_example_of_the_readme_runs(capsys):
+    assert "4096" in MANY
+    names: dict[str, Any] = {}
+    exec(compile(MANY.replace("4096", "2"), "README.md", "exec"), names)
+    assert np.isfinite(float(capsys.readouterr().out.split()[0]))
+    assert names["states"].obs.shape == (2, names["env"].observation_size)
+
+
+@pytest.mark.jit
+def test_the_gymnasium_example_of_the_readme_runs(raycast):
+    names: dict[str, Any] = {}
+    exec(compile(GYMNASIUM, "README.md", "exec"), names)
+    assert names["image"].shape == (360, 480, 3) and np.ptp(names["image"]) > 0
+    names["env"].close()
+
+
+def test_contributing_shows_every_folder():
+    """And no folder that there is not."""
+    tree = re.search(r"^```\n(agym_jax/.*?)^```$", CONTRIBUTING, re.S | re.M)
+    assert tree
+    shown: dict[str, set[str]] = {}
+    for block in re.split(r"^(?=\w)", tree[1], flags=re.M)[1:]:
+        top, *lines = block.splitlines()
+        folders = re.findall(r"(\w+)/(?= )", top + " ")
+        shown[folders[0]] = {*folders[1:], *(line.split("/")[0].strip() for line in lines)}
+    for top in ("agym_jax", "train", "tests"):
+        assert shown[top] == {path.parent.name for path in (ROOT / top).glob("*/*.py")}, top
+    assert {"benchmarks", "assets"} <= set(shown)
+
+
+def test_contributing_shows_the_layers_that_the_linter_checks():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"][
+        "contracts"
+    ]
+    shown = re.search(r"^```\n(benchmarks\n.*?)^```$", CONTRIBUTING, re.S | re.M)
+    assert shown
+    _, train, package = re.split(r"^(?:train|agym_jax):", shown[1], flags=re.M)
+    for container, layers in (
+        ("train", train.split(">")),
+        ("agym_jax", package.strip().splitlines()),
+    ):
+        wanted = next(x["layers"] for x in contracts if x.get("containers") == [container])
+        assert [set(re.findall(r"\w+", x)) for x in layers] == [
+            set(re.findall(r"\w+", x)) for x in wanted
+        ]
 
 
 def test_ci_runs_the_readmes_test_command():
@@ -108,7 +215,7 @@ def test_ci_runs_the_readmes_test_command():
     pattern = re.search(r"grep -m1 '(.+)' README\.md", script)
     assert pattern
     found = [line for line in commands(README) if re.match(pattern[1], line)]
-    assert len(found) == 1 and found[0].endswith("-m pytest -n 2 --dist loadfile")
+    assert len(found) == 1 and found[0].endswith("-m pytest -n 2 --dist loadgroup")
     assert found[0].count(" && ") == 2
 
 

@@ -1,0 +1,127 @@
+"""Evaluate every shipped policy again, several at a time, beside the figures that the results hold.
+
+    python -m benchmarks.shipped --parallel 8 --num-episodes 1000 --json shipped.jsonl
+    python -m benchmarks.shipped --impl native --num-episodes 5 --only ScratchItchJaco FeedingPR2Human
+
+Each evaluation is a process of its own. A figure agrees where the two 95 % intervals of success overlap.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from agym_jax.data.assets import asset_root
+from agym_jax.errors import UnknownNameError
+from benchmarks.markdown import Line, read_results
+from train.configs import Count
+
+
+@dataclass(frozen=True)
+class ShippedConfig:
+    """Flags of ``python -m benchmarks.shipped``."""
+
+    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Beginnings of ids; without them, all that ship."""
+    num_episodes: Count = 1000
+    """Episodes of each policy."""
+    parallel: Count = 1
+    """Evaluations at the same time."""
+    impl: str = "auto"
+    """Physics: "jax", "warp", "native" or "auto"."""
+    seed: int | None = None
+    """Seed of the episodes; without it, that of the recorded evaluation."""
+    json: Path | None = None
+    """File to which each result is added as a JSON line."""
+
+
+def shipped_ids(only: Sequence[str] = ()) -> list[str]:
+    """Ids of the environments whose policies ship.
+
+    Args:
+        only: beginnings of ids; none means all.
+
+    Raises:
+        UnknownNameError: a beginning fits none.
+    """
+    ids = sorted(path.stem for path in (asset_root() / "policies").glob("*.npz"))
+    for name in only:
+        if not any(x.startswith(name) for x in ids):
+            raise UnknownNameError("shipped policy", name, ids)
+    return [x for x in ids if not only or x.startswith(tuple(only))]
+
+
+def recorded() -> dict[str, Line]:
+    """The newest recorded evaluation of each shipped policy, robots alone and pairs."""
+    alone = read_results("evaluation", ("env", "policy"))
+    pairs = read_results("crossplay", ("env", "human_policy"))
+    lines = {x["env"]: x for x in pairs if x["human_policy"] is not None}
+    return lines | {x["env"]: x for x in alone if x["policy"] == "mode"}
+
+
+def evaluate(env_name: str, seed: int, config: ShippedConfig, folder: Path) -> dict[str, Any] | str:
+    """The result line of one policy, or why there is none."""
+    import json
+
+    file = folder / f"{env_name}.jsonl"
+    command = [
+        sys.executable, "-m", "train.evaluate", "--env-name", env_name, "--seed", str(seed),
+        "--num-episodes", str(config.num_episodes), "--impl", config.impl, "--json", str(file),
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True)
+    return json.loads(file.read_text()) if done.returncode == 0 else done.stderr[-500:]
+
+
+def run(
+    config: ShippedConfig, before: dict[str, Line]
+) -> Iterator[tuple[str, dict[str, Any] | str]]:
+    """Ids and what came of them, in order."""
+    ids = shipped_ids(config.only)
+
+    def seed_of(name: str) -> int:
+        recorded_seed = before.get(name, {}).get("seed", 1001)
+        return recorded_seed if config.seed is None else config.seed
+
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(config.parallel) as pool:
+        results = pool.map(lambda name: evaluate(name, seed_of(name), config, Path(folder)), ids)
+        yield from zip(ids, results, strict=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    from train.runs.record import append_record
+
+    config = tyro.cli(ShippedConfig, prog="python -m benchmarks.shipped", args=arguments)
+    before, failed, apart = recorded(), 0, 0
+    for name, line in run(config, before):
+        if isinstance(line, str):
+            failed += 1
+            print(f"{name:<28} failed: {line}", flush=True)
+            continue
+        if config.json:
+            append_record(config.json, line)
+        known = before.get(name)
+        text = f"{name:<28} {line['success']:6.1%}  return {line['return_mean']:8.1f}"
+        if known:
+            agrees = (
+                line["success_low"] <= known["success_high"]
+                and known["success_low"] <= line["success_high"]
+            )
+            apart += not agrees
+            text += f"   recorded {known['success']:6.1%}  {known['return_mean']:8.1f}"
+            text += "" if agrees else "   DIFFERS"
+        print(text, flush=True)
+    print(f"{failed} failed, {apart} differ from what is recorded")
+    return 1 if failed or apart else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -54,6 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if name == "--version":
         print(agym_jax.__version__)
         return 0
+    if "" not in sys.path:  # an id may name a module in the current folder; last: it hides no other
+        sys.path.append("")
     try:
         run = find(name)
     except AgymError as error:

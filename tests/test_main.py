@@ -112,6 +112,18 @@ def test_observe_refuses_nonsense(capsys: pytest.CaptureFixture):
     assert "Did you mean 'ScratchItchJaco-v0'" in capsys.readouterr().err
 
 
+def test_an_id_may_name_a_module_in_the_current_folder(tmp_path: Path):
+    """Although a console script, unlike ``python -m``, does not look for modules there."""
+    (tmp_path / "my_tasks.py").write_text(
+        "import dataclasses\n"
+        "from agym_jax.registry import register_task\n"
+        "from agym_jax.tasks import TASKS\n"
+        "register_task(dataclasses.replace(TASKS['Reaching'], name='Waving'))\n"
+    )
+    found = run("", tmp_path, "observe", "my_tasks:WavingJaco-v0", PYTHONSAFEPATH="1")
+    assert found.returncode == 0 and "`hand_pos_mouth`" in found.stdout, found.stderr
+
+
 # -- the trainer ---------------------------------------------------------------------------------
 
 

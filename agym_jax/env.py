@@ -33,9 +33,10 @@ from agym_jax.sense import Motion, Sensed
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import EpisodeSample, geom_sizes, make_episode, sample_episode
 from agym_jax.sim.physics import build_physics, check_traceable, choose_impl
-from agym_jax.sim.scene import build_scene, compose, draw_surfaces
+from agym_jax.sim.pictures import markers_of, picture_model, write_pose
+from agym_jax.sim.scene import build_scene
 from agym_jax.sim.sensing import ContactSums, motion_at_rest, no_contacts, sense
-from agym_jax.spec import Furnished, Pose, Privileged, RobotSpec, Surface, Surfaced, Task
+from agym_jax.spec import Privileged, RobotSpec, Task
 from agym_jax.state import Episode, State, select, strong
 
 METRICS = (
@@ -365,45 +366,22 @@ class AssistiveEnv:
                 ``agym_jax.rendering.meshes``.
 
         Raises:
-            UnknownNameError: there are no such looks.
+            UnknownNameError: there are no such visuals.
             MissingExtraError: the meshes' package is not installed: ``pip install "agym_jax[meshes]"``.
             MeshError: this robot has no meshes, or they do not fit it.
         """
-        p, place = state.episode.human, state.episode.placement
-        (x, y, z), (qw, qx, qy, qz) = place.base_pos.tolist(), place.base_quat.tolist()
-        base = Pose((x, y, z), (qw, qx, qy, qz))
-        pose = jax.tree.map(np.asarray, state.episode.pose)
-        model = compose(
-            self.task, self.robot, self.active, float(p.sex), float(p.stature), float(p.girth),
-            float(p.limit_scale), pose, base, visual=True, visuals=visuals,
-            surfaces=self._surfaces(state),
-        )  # fmt: skip
-        if isinstance(self.task, Furnished):
-            for name, pos in self.task.props(state.task).items():
-                model.body(f"seat/{name}/{name}").pos = np.asarray(pos)
+        model = picture_model(self.task, self.robot, self.active, state, visuals)
         data = mujoco.MjData(model)
         self.write_mujoco(state, data, model)
         return model, data
 
     def write_mujoco(self, state: State, data: mujoco.MjData, model: mujoco.MjModel) -> None:
         """Write the pose of one environment into C MuJoCo's data of ``to_mujoco``'s model."""
-        data.qpos[:], data.qvel[:] = np.asarray(state.data.qpos), np.asarray(state.data.qvel)
-        data.ctrl[:] = np.asarray(state.data.ctrl)
-        mujoco.mj_forward(model, data)
-        draw_surfaces(data, self._surfaces(state))
-
-    def _surfaces(self, state: State) -> list[Surface]:
-        """What the task draws besides points; one environment's."""
-        return self.task.surfaces(state.task) if isinstance(self.task, Surfaced) else []
+        write_pose(self.task, state, data, model)
 
     def markers(self, state: State) -> list[Marker]:
-        """What the task draws into pictures; one environment's."""
-        return [
-            Marker(pos, radius, colour)
-            for places, radius, colour in self.task.markers(state.task)
-            for pos in np.atleast_2d(np.asarray(places))
-            if np.all(np.isfinite(pos))
-        ]
+        """What the task draws into pictures of one environment."""
+        return markers_of(self.task, state)
 
 
 @jax.tree_util.register_dataclass

@@ -1,12 +1,12 @@
-"""Where a robot should stand and start: the batched counterpart of Assistive Gym's base search.
+"""Search for base poses and start angles of a robot: the batched counterpart of Assistive Gym's base search.
 
-AG v0.1 ``env.py`` position_robot_toc (reference robots.md section 7): draw bases beside the person,
-solve inverse kinematics for the start pose and for the points that the task will need, and prefer
-bases that reach all of them, with joints far from their limits and the hand free to move. AG tries
-100 bases at every reset; here thousands are tried at once, offline, over the range of people.
+AG v0.1 ``env.py`` position_robot_toc (reference robots.md section 7): sample base poses beside the person,
+solve inverse kinematics for the start pose and for the points that the task will need, and prefer bases that
+reach all of them, with joints far from their limits and high kinematic isotropy. AG tries 100 bases at every
+reset; here thousands are tried at once, offline, over the range of people.
 
 DEVIATION(start-free): start poses in which robot or tool would touch the person, the furniture or the
-robot itself are left out; AG looks for the last only.
+robot itself are left out; AG only checks for the last.
 """
 
 from __future__ import annotations
@@ -32,40 +32,41 @@ from agym_jax.sim.scene import build_scene
 from agym_jax.spec import RobotSpec, Task
 
 REACHED = 0.001
-"""A start pose counts as reached within this distance [m] (AG: 0.03) and REACHED_ROTATION [rad]."""
+"""A start pose counts as reached within this distance [m] (AG: 0.03) and ``REACHED_ROTATION`` [rad]."""
 REACHED_ROTATION = 0.01
 GOAL_REACHED = 0.03
 """A further goal counts as reached within this distance [m], as in AG."""
 CLEARANCE = 0.005
 """Least distance [m] of robot and tool from person, furniture and the rest of the robot at the start."""
-NEARLY = 0.8
-"""Solutions with at least this share of the best isotropy may be taken for the sake of likeness."""
+NEARLY_BEST = 0.8
+"""Solutions with at least this share of the best isotropy may be chosen because they resemble the others."""
 YAW = np.deg2rad(30.0)
+"""Range of the base's yaw on either side of that of its area [rad]."""
 TRIES = 8
-"""Candidates for every row that is kept, where a base is searched."""
+"""Candidates per row of the bank, where base poses are searched."""
 
 
 @dataclass(frozen=True)
 class Goals:
-    """What a batch of N candidates has to reach, in the world."""
+    """Bases of a batch of N candidates, and what they have to reach, in the world."""
 
     base_pos: np.ndarray  # (N, 3)
-    base_yaw: np.ndarray  # (N,), about the fixed base's own orientation, if any
+    base_yaw: np.ndarray  # before the fixed base's own orientation, if any [rad] (N,)
     start: np.ndarray  # of each hand (N, n_arms, 3)
     points: tuple[np.ndarray, ...]  # of each arm, further points (N, n_points, 3)
 
 
 @dataclass(frozen=True)
 class Report:
-    """How a search went."""
+    """Outcome of a search."""
 
     tried: int
     start_reached: int
-    goals_reached: dict[str, int]  # of those whose start was reached
+    goals_reached: dict[str, int]  # among those whose start was reached
     kept: int
 
     def table(self) -> str:
-        """One line for people to read."""
+        """One line for the terminal."""
         share = lambda n, of: f"{100 * n / max(of, 1):.0f} %"  # noqa: E731
         goals = ", ".join(
             f"{k} {share(v, self.start_reached)}" for k, v in self.goals_reached.items()
@@ -82,19 +83,19 @@ def search(
     """Find start placements for a task-robot pair.
 
     Args:
-        task: gives hands' starts and goals.
-        robot: gives bases, orientations and chains.
-        seed: of everything random.
-        size: rows to return, at most.
-        restarts: random beginnings of the inverse kinematics of a start pose, so that its best
-            family of solutions is found; a quarter of them for the further goals.
+        task: defines the hands' start positions and goals.
+        robot: defines bases, orientations and chains.
+        seed: of all random numbers.
+        size: greatest number of rows.
+        restarts: random initial angles of the inverse kinematics per start pose, to find its best
+            family of solutions; a quarter of them for the further goals.
 
     Returns:
-        the rows, best first, and how the search went.
+        the rows, best first, and a report.
 
     Raises:
-        SpecError: robot and task do not fit together, a goal is out of every base's reach, or no start
-            pose is both reached and free.
+        SpecError: robot and task do not fit together, a goal is out of reach of all bases, or no start
+            pose is both reached and free of contacts.
     """
     scene = build_scene(task, robot)
     chains = _chains(scene)
@@ -121,7 +122,7 @@ def search(
         if len(chains) == 1:
             free = partial(_free_share, Clearance(task, robot), goals.base_pos, quats, q)
             best = _free_family(q, value, chain, free)
-        else:  # whether an arm is free depends on the other one too
+        else:  # whether an arm is free of contacts depends on the other one too
             best = _one_family(q, value, chain)
         angles.append(q[rows, best])
         ok &= good[rows, best]
@@ -158,8 +159,7 @@ def search(
 def start_rotation(task: Task, robot: RobotSpec, arm: int, scene) -> np.ndarray:
     """Orientation of a hand's end-effector site at the start, world (3, 3).
 
-    A robot that names none for the task starts with its hand pointing along +x, at the person, and
-    its fingers opening sideways.
+    By default the hand points along +x, at the person, and its fingers open sideways.
     """
     if task.name in robot.start_rotations:
         return rotation_matrix(np.array(robot.start_rotations[task.name]), np)
@@ -180,14 +180,14 @@ def _chains(scene) -> list[kinematics.Chain]:
 
 
 def _goal_names(task: Task, n_arms: int) -> list[list[str]]:
-    """Names of the further goals of each arm; one arm has to reach those of both."""
+    """Names of the further goals of each arm; a single arm has to reach all of them."""
     if n_arms == len(task.goals):
         return [list(names) for names in task.goals]
     return [[name for names in task.goals for name in names]]
 
 
 def _draw_goals(task: Task, robot: RobotSpec, n_arms: int, n: int, seed: int) -> Goals:
-    """Bases, start positions and the points of as many people (64 of them, repeated)."""
+    """Base poses, start positions, and goals of as many people (64 different ones)."""
     rng = np.random.default_rng(seed)
     fixed, area = robot.fixed_base(task), robot.base_search(task.name)
     if fixed:
@@ -214,7 +214,7 @@ def _draw_goals(task: Task, robot: RobotSpec, n_arms: int, n: int, seed: int) ->
 
 
 def _points(task: Task, names: list[str], count: int, seed: int) -> dict[str, np.ndarray]:
-    """Where those points of drawn people are, world [m] name -> (count, 3)."""
+    """Positions of named points of sampled people, world [m] name -> (count, 3)."""
     spec = task.human
 
     def one(key: jax.Array) -> tuple[population.Human, human_pose.BodyPose]:
@@ -234,7 +234,7 @@ def _points(task: Task, names: list[str], count: int, seed: int) -> dict[str, np
     found: dict[str, list] = {name: [] for name in names}
     for i in range(count):
         human, pose = jax.tree.map(lambda x: x[i], drawn)  # noqa: B023
-        # nothing moves here, so every link is posed in the world
+        # no joint is free here, so every link has a pose in the world
         rows = human_pose.rows(spec, pose, human.dims, (), human.limit_scale, np)
         for name in found:
             row = order.index("head" if name == "mouth" else name)
@@ -247,10 +247,10 @@ def _points(task: Task, names: list[str], count: int, seed: int) -> dict[str, np
 
 
 def _one_family(q: np.ndarray, score: np.ndarray, chain: kinematics.Chain) -> np.ndarray:
-    """Which solution of each candidate to take: alike ones, among those that are nearly the best.
+    """Choose a solution per candidate, so that the chosen ones are similar and nearly the best.
 
-    A pose has several solutions (elbow up or down, wrist flipped), often equally good. A policy has
-    an easier life if every episode starts from the same family.
+    A pose has several families of solutions (elbow up or down, wrist flipped), often equally good. A policy learns
+    more easily if every episode starts from the same family.
 
     Args:
         q: solutions [rad] (N, restarts, n).
@@ -258,23 +258,23 @@ def _one_family(q: np.ndarray, score: np.ndarray, chain: kinematics.Chain) -> np
         chain: for the limits.
 
     Returns:
-        (N,) index of the solution; the best where none is good.
+        index of the solution (N,); the best one where no candidate reaches.
     """
-    fine = (score > 0) & (score >= NEARLY * score.max(axis=1, keepdims=True))
+    fine = (score > 0) & (score >= NEARLY_BEST * score.max(axis=1, keepdims=True))
     if not fine.any():
         return np.argmax(score, axis=1)
     wrap = partial(_wrap, chain=chain)
     pool = q[fine]
     pick = np.random.default_rng(0).permutation(len(pool))
     seeds, others = pool[pick[:256]], pool[pick[-2048:]]
-    alike = np.abs(wrap(seeds[:, None] - others[None])).max(axis=-1) < 1.0
-    middle = seeds[np.argmax(alike.sum(axis=1))]
+    similar = np.abs(wrap(seeds[:, None] - others[None])).max(axis=-1) < 1.0
+    middle = seeds[np.argmax(similar.sum(axis=1))]
     apart = np.linalg.norm(wrap(q - middle), axis=-1)
     return np.argmin(np.where(fine, apart, np.inf), axis=1)
 
 
 def _wrap(difference: np.ndarray, chain: kinematics.Chain) -> np.ndarray:
-    """Differences of angles (..., n), those of joints that turn freely the short way round [rad]."""
+    """Differences of angles (..., n) [rad]; those of continuous joints in [-pi, pi)."""
     free = chain.upper - chain.lower > 2 * np.pi + 0.1
     return np.where(free, (difference + np.pi) % (2 * np.pi) - np.pi, difference)
 
@@ -282,17 +282,17 @@ def _wrap(difference: np.ndarray, chain: kinematics.Chain) -> np.ndarray:
 def _free_family(
     q: np.ndarray, score: np.ndarray, chain: kinematics.Chain, free: Callable[[np.ndarray], float]
 ) -> np.ndarray:
-    """As ``_one_family``, but a family that mostly touches something gives way to the next one.
+    """As ``_one_family``, but a family that is mostly in contact is replaced by the next one.
 
     Args:
         q: solutions [rad] (N, restarts, n).
         score: of each, -1 where it does not reach (N, restarts).
         chain: for the limits.
-        free: share of free poses when each candidate takes the given solution (N,).
+        free: share of contact-free poses, given the solution of each candidate (N,).
 
     Returns:
-        (N,) index of the solution, of the first family that is free for at least half of the
-        candidates, else of the one that is free most often.
+        index of the solution (N,), of the first family that is free of contacts for at least half of the
+        candidates, or else of the one that is free most often.
     """
     rows, left = np.arange(len(q)), score.copy()
     best, most = _one_family(q, left, chain), -1.0
@@ -302,15 +302,15 @@ def _free_family(
         share = free(np.where(reached, pick, -1))
         if share > most:
             best, most = np.where(reached, pick, best), share
-        alike = np.abs(_wrap(q - q[rows, pick][:, None], chain)).max(axis=-1) < 1.0
-        left = np.where(alike & reached[:, None], -1.0, left)
+        similar = np.abs(_wrap(q - q[rows, pick][:, None], chain)).max(axis=-1) < 1.0
+        left = np.where(similar & reached[:, None], -1.0, left)
     return best
 
 
 def _free_share(
     clearance: Clearance, pos: np.ndarray, quat: np.ndarray, q: np.ndarray, pick: np.ndarray
 ) -> float:
-    """Share of the picked solutions (N,), -1 for none, that touch nothing: of 24 of them."""
+    """Share of contact-free poses among 24 of the picked solutions (N,), -1 for none."""
     some = np.random.default_rng(0).permutation(np.flatnonzero(pick >= 0))[:24]
     return float(np.mean([
         _is_free(clearance, Placement(pos[i], quat[i], q[i, pick[i]])) for i in some
@@ -322,7 +322,7 @@ def _is_free(clearance: Clearance, place: Placement) -> bool:
 
 
 def _solve(chain, key, pos, rot, weight, restarts):
-    """Inverse kinematics of N poses from several beginnings each: (N, restarts, ...)."""
+    """Inverse kinematics of N poses from several initial angles each: (N, restarts, ...)."""
     low, high = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
     high = np.where(high < low + 0.5, chain.upper, high)
     starts = jax.random.uniform(
@@ -349,7 +349,7 @@ def _solver(key: int, chain: kinematics.Chain) -> Any:
 
 
 def _base_quats(yaw: np.ndarray, quat: tuple[float, ...]) -> np.ndarray:
-    """Quaternions wxyz (N, 4) of a base turned about the vertical."""
+    """Quaternions wxyz (N, 4) of a base orientation, rotated about the vertical."""
     about_z = axis_angle_quat(np.array([0.0, 0.0, 1.0]), yaw, np)
     return quat_mul(about_z, np.array(quat), np)
 
@@ -357,7 +357,7 @@ def _base_quats(yaw: np.ndarray, quat: tuple[float, ...]) -> np.ndarray:
 def _free_rows(
     task: Task, robot: RobotSpec, candidates: Placement, order: np.ndarray, size: int
 ) -> list[int]:
-    """The first ``size`` of the ordered candidates that touch nothing."""
+    """The first ``size`` of the ordered candidates that are free of contacts."""
     clearance = Clearance(task, robot)
     rows: list[int] = []
     for i in order:
@@ -370,12 +370,12 @@ def _free_rows(
 
 
 def _unwind(angles: np.ndarray, chains: list[kinematics.Chain], ok: np.ndarray) -> np.ndarray:
-    """Bring joints that turn freely to within pi of the mean direction of the reached rows.
+    """Bring continuous joints to within pi of the mean angle of the reached rows.
 
     Args:
         angles: (N, n) [rad].
         chains: of the arms, for the limits.
-        ok: which rows count (N,).
+        ok: rows whose start is reached (N,) bool.
     """
     lower = np.concatenate([c.lower for c in chains])
     upper = np.concatenate([c.upper for c in chains])

@@ -1,22 +1,22 @@
-"""People who lie on the bed as gravity lets them: writes the banks that ``posture.py`` reads.
+"""Banks of postures of people who have settled on the bed, as ``human/posture.py`` reads them.
 
     agym-jax postures build [BedBathing ArmManipulation] [--seed 0] [--each 128]
     agym-jax postures report        # how they compare with Assistive Gym's
 
 As Assistive Gym does at every reset (bed_bathing.py, arm_manipulation.py; reference tasks.md
-sections 3 and 7), a limp person falls onto the bed for 2 s at -1 m/s^2, face up, with joint angles
-U(-0.1, 0.1) rad within the person's own limits; in ArmManipulation the right arm, then the only part
-that moves, is laid over the bed's edge and falls again. Here that is done once, offline, with C MuJoCo.
+sections 3 and 7), a person without muscle torques falls onto the bed for 2 s at -1 m/s^2, face up, with joint
+angles U(-0.1, 0.1) rad within the person's own limits; in ArmManipulation the right arm, then the only part
+that moves, is placed over the bed's edge and falls again. Here that is done once, offline, with C MuJoCo.
 
 A bank has six equal parts, in this order: Assistive Gym's man with full joint limits, the same man with
-limits scaled by U(0.5, 1), its woman with full and with scaled limits, and people of any size with full
+limits scaled by U(0.5, 1), its woman with full and with scaled limits, and people of random size with full
 and with scaled limits. Every part with scaled limits spans 0.5 to 1 evenly, in ascending order.
 
-DEVIATION(settle): after AG's 2 s the body is frozen and the right arm goes on settling until it is
-still, and in ArmManipulation then once more under -9.81 m/s^2, at which that task runs. AG starts with
-whatever motion 2 s have left. In BedBathing falls whose arm slides off the bed are left out.
-Contacts are firmer than at run time, so a hanging arm sinks up to 4 mm deeper into the mattress there.
-DEVIATION(posture-bank): a reset draws a settled person of like size, with the same or slightly narrower
+DEVIATION(settle): after AG's 2 s the body is frozen and the right arm continues to settle until it is
+at rest, and in ArmManipulation then once more under -9.81 m/s^2, the gravity of that task. AG starts with
+the motion that remains after 2 s. In BedBathing, falls in which the arm slides off the bed are left out.
+Contacts are stiffer than at run time, where a hanging arm sinks up to 4 mm deeper into the mattress.
+DEVIATION(posture-bank): a reset samples a settled person of similar size, with the same or slightly narrower
 limits. AG's sizes lie as settled; others begin up to 16 mm inside the bed, arms up to 12 mm above it.
 """
 
@@ -52,27 +52,30 @@ SPREAD = 0.1  # joint angles at the start, U(-0.1, 0.1) rad
 FALL, STEP = 2.0, 0.004  # AG: 100 steps of 0.02 s; finer steps make the same time stable [s]
 FIRST_GRAVITY = -1.0  # [m/s^2]
 FALL_SOLREF, FALL_SOLIMP = (0.03, 1.0), (0.8, 0.95, 0.005, 0.5, 2.0)  # of contacts: no bouncing
-REST_SOLREF, REST_SOLIMP = (0.016, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0)  # firm: sinks in by < 1 mm
+REST_SOLREF, REST_SOLIMP = (0.016, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0)  # stiff: penetration < 1 mm
 SELF_FRICTION = 0.5
-FIRM_LIMIT = (0.008, 1.0)  # solref of the arm's joint limits at rest: exceeded by < 0.1 deg
+STIFF_LIMIT = (0.008, 1.0)  # solref of the arm's joint limits at rest: exceeded by < 0.1 deg
 STICTION = 20.0  # MuJoCo's impratio: soft friction would let a resting arm creep
 FALL_DAMPING, REST_DAMPING = 1.0, 0.05  # of the joints [N m s/rad] (AG: none)
-STILL, PATIENCE = 0.01, 60.0  # the arm is at rest below this speed [rad/s]; wait at most [s]
-DEEPEST, FLOATING = 0.002, 0.002  # worst penetration and gap that a row may have [m]
-STRAYED = 0.1  # a chest that has moved by more across the bed has fallen off [m]
-OVERHANG = -0.65  # a wrist beyond this x has slid off the bed, 15 cm past the edge [m]
-TRIES = 6  # falls per row, on average, before a bank is given up
+REST_SPEED, REST_TIMEOUT = (
+    0.01,
+    60.0,
+)  # the arm is at rest below this speed [rad/s]; wait at most [s]
+MAX_PENETRATION, MAX_GAP = 0.002, 0.002  # of the person and the bed, in a row [m]
+MAX_SHIFT = 0.1  # a chest that has moved across the bed by more has fallen off [m]
+WRIST_X = -0.65  # a wrist beyond this x has slid off the bed: 15 cm past the edge [m]
+MAX_TRIES = 6  # falls per row, on average, before the search for a bank is ended
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """How a task has the person lie.
+    """How the person of a task lies.
 
     Attributes:
-        start: of the chest before the fall, world [m].
-        arm: angles [rad] at which the right arm falls again; none if it stays where it is.
-        gravity: under which the arm comes to rest, one after the other [m/s^2].
-        friction: with the bed while the body falls, and while the arm comes to rest; in AG the bed's
+        start: position of the chest before the fall, world [m].
+        arm: angles [rad] from which the right arm falls again; none if it stays where it is.
+        gravity: values under which the arm comes to rest, one after the other [m/s^2].
+        friction: of person and bed while the body falls, and while the arm comes to rest; in AG the bed's
             5, then 0.3 in ArmManipulation, times the person's 0.5.
     """
 
@@ -101,8 +104,8 @@ def _limb(link: str) -> tuple[str, str]:
     return kinds.get(part, "torso"), side
 
 
-def may_touch(a: str, b: str) -> bool:
-    """AG's self-collision mask (reference humans.md section 3) for two links."""
+def may_collide(a: str, b: str) -> bool:
+    """Whether two links may collide: AG's self-collision mask (reference humans.md section 3)."""
     (kind_a, side_a), (kind_b, side_b) = _limb(a), _limb(b)
     if kind_a == "torso":
         (a, kind_a, side_a), (b, kind_b, side_b) = (b, kind_b, side_b), (a, kind_a, side_a)
@@ -116,13 +119,13 @@ def may_touch(a: str, b: str) -> bool:
 def lying_model(
     human: Postures, free: tuple[str, ...], friction: float, falling: bool = False
 ) -> mujoco.MjModel:
-    """One person on the bed.
+    """Model of one person on the bed.
 
     Args:
-        human: one row; the joints that do not move have its angles.
+        human: one row; the joints that are not free have its angles.
         free: joints that move.
-        friction: of the bed.
-        falling: the chest is free.
+        friction: of person and bed.
+        falling: whether the chest is free.
     """
     spec = mujoco.MjSpec()
     spec.option.timestep = STEP
@@ -147,7 +150,7 @@ def lying_model(
         (a, f"human/{b}", SELF_FRICTION)
         for i, a in enumerate(LINKS)
         for b in LINKS[i + 1 :]
-        if may_touch(a, b) and (a in moving or b in moving)
+        if may_collide(a, b) and (a in moving or b in moving)
     ]
     for a, b, mu in pairs:
         spec.add_pair(
@@ -158,7 +161,7 @@ def lying_model(
     model = spec.compile()
     model.dof_damping[6 if falling else 0 :] = FALL_DAMPING if falling else REST_DAMPING
     if not falling:
-        model.jnt_solref[:] = FIRM_LIMIT
+        model.jnt_solref[:] = STIFF_LIMIT
     return model
 
 
@@ -171,7 +174,7 @@ def _clipped(angles: np.ndarray, joints: tuple[str, ...], limit_scale: float) ->
 
 
 def fall(human: Postures, how: Scenario, rng: np.random.Generator) -> Postures:
-    """Drop a limp person onto the bed: the same one with the pose after the fall."""
+    """Drop a person without muscle torques onto the bed; returns the person in the pose after the fall."""
     angles = _clipped(rng.uniform(-SPREAD, SPREAD, len(ALL)), ALL, human.limit_scale)
     human = replace(human, root_pos=np.array(how.start), root_quat=np.array(FACE_UP))
     model = lying_model(human, ALL, how.friction[0], True)
@@ -184,7 +187,7 @@ def fall(human: Postures, how: Scenario, rng: np.random.Generator) -> Postures:
 
 
 def rest_arm(human: Postures, how: Scenario) -> tuple[Postures, float]:
-    """Let one person's right arm come to rest while the body stays as it is.
+    """Let a person's right arm come to rest while the body is fixed.
 
     Returns:
         the person, and the arm's greatest joint speed at the end [rad/s].
@@ -195,9 +198,9 @@ def rest_arm(human: Postures, how: Scenario) -> tuple[Postures, float]:
     data.qpos[where] = _clipped(np.array([angles[j] for j in ARM]), ARM, human.limit_scale)
     for gravity in how.gravity:
         model.opt.gravity[2] = gravity
-        for i in range(round(PATIENCE / STEP)):
+        for i in range(round(REST_TIMEOUT / STEP)):
             mujoco.mj_step(model, data)
-            if (i + 1) * STEP >= FALL and i % 25 == 0 and np.abs(data.qvel).max() < STILL:
+            if (i + 1) * STEP >= FALL and i % 25 == 0 and np.abs(data.qvel).max() < REST_SPEED:
                 break
     angles |= zip(ARM, _clipped(data.qpos[where], ARM, human.limit_scale), strict=True)
     rested = replace(human, angles=np.array([angles[j] for j in ALL]))
@@ -205,7 +208,7 @@ def rest_arm(human: Postures, how: Scenario) -> tuple[Postures, float]:
 
 
 def clearances(human: Postures) -> dict[str, float]:
-    """Distance of every link of one person from the bed [m], negative inside it."""
+    """Distances of a person's links from the bed [m], negative inside it."""
     model = lying_model(human, (), 1.0)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -220,31 +223,31 @@ def clearances(human: Postures) -> dict[str, float]:
 def settle(
     name: str, who: tuple[float, float, float, float], rng: np.random.Generator
 ) -> Postures | str:
-    """One row of a bank, or the words for why it was rejected.
+    """One row of a bank, or the reason why the fall was rejected.
 
     Args:
         name: of the task.
         who: sex, stature, girth and limit_scale.
-        rng: of the angles at the start.
+        rng: of the initial angles.
     """
     how = SCENARIOS[name]
     human = fall(Postures(*who, np.zeros(3), np.zeros(4), np.zeros(len(ALL))), how, rng)
-    if np.abs(human.root_pos[:2] - how.start[:2]).max() > STRAYED:
+    if np.abs(human.root_pos[:2] - how.start[:2]).max() > MAX_SHIFT:
         return "fell off the bed"
     human, speed = rest_arm(human, how)
-    if speed >= STILL:
+    if speed >= REST_SPEED:
         return "not at rest"
-    if not how.arm and link_positions(human)["right_hand"][0] < OVERHANG:
+    if not how.arm and link_positions(human)["right_hand"][0] < WRIST_X:
         return "arm slid off the bed"
     gap = clearances(human)
-    if min(gap.values()) < -DEEPEST:
+    if min(gap.values()) < -MAX_PENETRATION:
         return "penetrates the bed"
-    floats = min(gap["chest"], gap["waist"], gap["hips"]) > FLOATING
+    floats = min(gap["chest"], gap["waist"], gap["hips"]) > MAX_GAP
     return "floats" if floats else human
 
 
 def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Counter]:
-    """Settle people until a bank is full.
+    """Settle people until a bank is complete.
 
     Args:
         name: of the task.
@@ -252,10 +255,10 @@ def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Cou
         each: rows of each of the six parts.
 
     Returns:
-        the bank, and how often which word came back; "kept" are the rows.
+        the bank, and how often each reason for a rejection occurred; "kept" counts the rows.
 
     Raises:
-        AgymError: too few falls end well.
+        AgymError: too few falls are accepted.
     """
     rng, humans, counts = np.random.default_rng(seed), Population(sizes="continuous"), Counter()
     ranges = humans.blend, humans.stature, humans.girth
@@ -270,8 +273,8 @@ def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Cou
         counts["kept" if isinstance(row, Postures) else row] += 1
         rows += [row] if isinstance(row, Postures) else []
         print(f"\r{name}: {len(rows)}/{6 * each}", end="", flush=True)
-        if counts.total() > TRIES * 6 * each:
-            raise AgymError(f"{name}: too few people come to lie well on the bed: {dict(counts)}")
+        if counts.total() > MAX_TRIES * 6 * each:
+            raise AgymError(f"{name}: too few falls onto the bed are accepted: {dict(counts)}")
     print()
     return bank_of(rows), counts
 

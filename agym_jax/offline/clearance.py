@@ -1,4 +1,4 @@
-"""How far a robot, its tools and its mount are from person, furniture and itself: C MuJoCo, offline."""
+"""Distances of a robot, its tools and its mount from the person, the furniture and itself, by C MuJoCo."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ FAR = 0.1
 
 
 class Clearance:
-    """Least distances over both of AG's people, with every collision geom of the scene."""
+    """Least distances between the collision geoms of a scene, over AG's man and woman."""
 
     def __init__(self, task: Task, robot: RobotSpec):
         moving = task.human.moving(active=False)
-        self.envs = []
+        self.scenes = []
         for sex in (0.0, 1.0):
             angles = human_pose.start_angles(human_pose.typical(task.human, sex), moving, 1.0, np)
-            world = _World(compose(task, robot, sex=sex, solid=True))
-            world.bend([f"human/{j}" for j in moving], angles)
-            self.envs.append(world)
+            scene = _CompiledScene(compose(task, robot, sex=sex, solid=True))
+            scene.set_angles([f"human/{j}" for j in moving], angles)
+            self.scenes.append(scene)
         self.joints = [f"robot/{j}" for arm in robot.arms_for(task) for j in arm.joints]
 
     def outside(self, place: Placement) -> float:
-        """Distance of robot and tools from person and furniture, at most FAR [m]."""
+        """Distance of robot and tools from person and furniture, at most ``FAR`` [m]."""
         nearest = FAR
-        for world in self.envs:
-            world.pose(place, self.joints)
-            nearest = min(nearest, world.least(world.outside, stop=0.0))
+        for scene in self.scenes:
+            scene.set_placement(place, self.joints)
+            nearest = min(nearest, scene.least(scene.outside, stop=0.0))
         return nearest
 
     def inside(self, place: Placement) -> float:
         """Distance of the moving arms and tools from each other and the rest of the robot [m]."""
-        world = self.envs[0]
-        world.pose(place, self.joints)
-        return world.least(world.inside, stop=0.0)
+        scene = self.scenes[0]
+        scene.set_placement(place, self.joints)
+        return scene.least(scene.inside, stop=0.0)
 
 
-class _World:
-    """One compiled scene and the geom pairs that matter in it."""
+class _CompiledScene:
+    """A compiled scene and the geom pairs whose distances count."""
 
     def __init__(self, model: mujoco.MjModel):
         self.model, self.data = model, mujoco.MjData(model)
@@ -59,9 +59,9 @@ class _World:
         self.inside = self._inside(robot)
 
     def _inside(self, geoms: list[int]) -> np.ndarray:
-        """Pairs of the robot's own geoms at least three moving joints apart."""
+        """Pairs of the robot's own geoms with at least three joints between them."""
         m = self.model
-        path = {g: self._moving_above(m.geom_bodyid[g]) for g in geoms}
+        path = {g: self._joints_above(m.geom_bodyid[g]) for g in geoms}
         pairs = []
         for i, a in enumerate(geoms):
             for b in geoms[i + 1 :]:
@@ -70,7 +70,7 @@ class _World:
                     pairs.append((a, b))
         return np.array(pairs).reshape(-1, 2)
 
-    def _moving_above(self, body: int) -> set[int]:
+    def _joints_above(self, body: int) -> set[int]:
         """Joints between a body and the world."""
         m, joints = self.model, set()
         while body:
@@ -79,18 +79,20 @@ class _World:
             body = int(m.body_parentid[body])
         return joints
 
-    def pose(self, place: Placement, joints: list[str]) -> None:
+    def set_placement(self, place: Placement, joints: list[str]) -> None:
+        """Move the base, bend the arms' joints and update the kinematics."""
         self.model.body_pos[self.root] = place.base_pos
         self.model.body_quat[self.root] = place.base_quat
-        self.bend(joints, np.asarray(place.arm_angles))
+        self.set_angles(joints, np.asarray(place.arm_angles))
         mujoco.mj_kinematics(self.model, self.data)
 
-    def bend(self, joints: list[str], angles: np.ndarray) -> None:
+    def set_angles(self, joints: list[str], angles: np.ndarray) -> None:
+        """Set joint angles [rad]."""
         for name, angle in zip(joints, angles, strict=True):
             self.data.qpos[self.model.joint(name).qposadr[0]] = angle
 
     def least(self, pairs: np.ndarray, stop: float) -> float:
-        """Least distance over geom pairs, at most FAR; not resolved below ``stop`` [m]."""
+        """Least distance over geom pairs, at most ``FAR``; the search ends below ``stop`` [m]."""
         m, d = self.model, self.data
         a, b = pairs.T
         apart = np.linalg.norm(d.geom_xpos[a] - d.geom_xpos[b], axis=1)

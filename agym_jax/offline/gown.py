@@ -1,10 +1,10 @@
-"""A hospital gown, cut from a few numbers: a sleeve, and under its opening a piece of the body.
+"""Builds the hospital gown from a few measures: a sleeve, and under its opening a piece of the body.
 
 ``agym-jax gown`` writes ``assets/garments/gown.npz``. The gown at rest, in the frame of
 ``garment.py``: the sleeve is a tapering tube along -y. Its opening, where the hand enters, is the loop that the
 sleeve test watches; its other end has the perimeter of AG's cuff, 0.386 m. The gripper holds the top of the opening
 by a patch that is as wide as AG's, 75 mm. The body continues the underside of the opening along +y: the arc
-there, and wings tangential to it. Nothing is under stress at rest.
+there, and wings tangential to it. The undeformed shape is free of stress.
 
 Facts of Assistive Gym: reference tasks.md section 6.
 
@@ -33,15 +33,15 @@ class GownMeasures:
     """Measures of the gown [m]; AG's where a source is given, else estimates.
 
     Attributes:
-        edge: length of most edges, the resolution; diagonals are longer by 1.4.
+        edge: length of most edges, which sets the resolution; diagonals are longer by 1.4.
         opening: perimeter of the armhole.
         cuff: perimeter of the sleeve's other end (AG: the smaller cuff).
         sleeve: length of the tube: from the shoulder to the middle of the forearm of AG's man.
         patch: width that is held at the opening's top (AG: the patch of anchors).
-        patch_depth: how far it reaches into the sleeve (AG: the same).
-        body_width: of the body, along the cloth.
-        body_length: along +y.
-        seam: share of the opening on which the body hangs.
+        patch_depth: length of the held patch into the sleeve (AG: the same).
+        body_width: width of the body, along the cloth.
+        body_length: length of the body along +y.
+        seam: share of the opening to which the body is joined.
     """
 
     edge: float = 0.0241
@@ -56,10 +56,10 @@ class GownMeasures:
 
 
 def build_gown(measures: GownMeasures = GownMeasures()) -> Garment:
-    """The gown at a resolution.
+    """The gown, not yet settled.
 
     Args:
-        measures: of it.
+        measures: of the gown.
     """
     m = measures
     around = 2 * round(m.opening / m.edge / 2)
@@ -95,7 +95,7 @@ def build_gown(measures: GownMeasures = GownMeasures()) -> Garment:
     number[fresh] = len(sleeve) + np.arange(len(fresh))
     number[shared] = seam
 
-    # where sleeve and body meet, diagonals keep away from the vertices that have most edges: six are enough
+    # where sleeve and body meet, diagonals avoid the vertices with most edges, which keeps six edges per vertex
     cell = np.arange(in_body.shape[1] - 1)
     mirrored = ((cell >= wing) & (cell < wing + half)) | (cell >= len(cell) - wing)
 
@@ -117,7 +117,7 @@ def _quads(grid: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
 
     Args:
         grid: vertices.
-        mirrored: columns of cells whose diagonals run the other way (c - 1,) bool.
+        mirrored: columns of cells whose diagonals are mirrored (c - 1,) bool.
     """
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]
     first = np.stack([a, b, np.where(mirrored, c, d)], -1)
@@ -131,7 +131,7 @@ def _unit(a: np.ndarray) -> np.ndarray:
 
 def main(argv: Sequence[str] | None = None, prog: str = "agym-jax gown") -> int:
     """The command line; returns the exit status."""
-    description = "Cut the gown that the package ships, let it hang, and write it into the assets."
+    description = "Build the gown of the package, let it settle, and write it to the assets."
     argparse.ArgumentParser(prog=prog, description=description).parse_args(argv)
     gown = settle(build_gown())
     save(gown, asset_root() / GOWN)

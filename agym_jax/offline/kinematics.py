@@ -1,7 +1,7 @@
 """Serial chains in JAX: forward kinematics, Jacobian and batched inverse kinematics.
 
-Written for one chain and one pose; ``jax.vmap`` over targets, restarts, bases. Used offline to build
-placement banks, by tests as an oracle, and by scripted motions.
+Written for one chain and one pose; use ``jax.vmap`` over targets, restarts or bases. Used to build placement banks,
+as a reference in tests, and for scripted motions.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ class Chain:
     """Hinges in series from a base to a site, read from a compiled model.
 
     Attributes:
-        pos: of each joint's frame in the one before [m] (n, 3).
+        pos: position of each joint's frame in the one before [m] (n, 3).
         rot: its rotation matrix (n, 3, 3).
         axis: of each hinge in its own frame (n, 3).
-        tip_pos: of the site in the last frame [m] (3,).
+        tip_pos: position of the site in the last frame [m] (3,).
         tip_rot: its rotation matrix (3, 3).
         lower: joint limits [rad] (n,).
         upper: joint limits [rad] (n,).
@@ -42,7 +42,7 @@ class Chain:
 
 
 def chain_of(model: mujoco.MjModel, joints: np.ndarray, site: int, base: int) -> Chain:
-    """The chain of some hinges that ends at a site.
+    """The chain of hinges that ends at a site.
 
     Args:
         model: compiled model.
@@ -123,16 +123,16 @@ def inverse(
     damping: float = 1e-3,
     weight: Array | float = 0.3,
 ) -> tuple[Array, Array, Array]:
-    """Damped least squares towards one pose, clipped to the joint limits at every step.
+    """Inverse kinematics by damped least squares, clipped to the joint limits in every iteration.
 
     Args:
         chain: n hinges.
-        start: where to begin [rad] (n,).
+        start: initial angles [rad] (n,).
         pos: of the tip in the base frame [m] (3,).
         rot: of the tip, rotation matrix (3, 3).
         steps: iterations.
         damping: of the least squares.
-        weight: of a radian beside a metre; 0 leaves the orientation free.
+        weight: of an error of one radian relative to one metre; 0 leaves the orientation free.
 
     Returns:
         angles [rad] (n,), remaining distance [m] (), remaining rotation [rad] ().

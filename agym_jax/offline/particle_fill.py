@@ -1,12 +1,12 @@
-"""Food and water as they lie in spoon and cup: banks of arrangements, so that a reset is a look-up.
+"""Banks of food and water at rest in spoon and cup, so that a reset is a look-up.
 
     agym-jax particles [spoon cup] [--seed 0] [--rows 64]
 
 Assistive Gym drops a grid of spheres into the tool at every reset and lets it settle for 1 s (food) or 0.4 s
 (water): feeding.py, drinking.py reset. Here that is done once, offline, for many directions in which
 gravity may point in the vessel's frame: tilts up to 20 degrees for the spoon and 10 for the cup, spread
-evenly over the disc, the first one upright. Each row is the lowest of several grids that were dropped
-with small random shifts, almost without friction, turned with the vessel, and have then come to rest.
+evenly over the disc, the first one upright. Each row is the lowest of several grids that are dropped
+with small random shifts, almost without friction, tilted with the vessel, and then come to rest.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from agym_jax.matter.particles.fill import CONTENTS, DOWN, FillBank, fill_path
 from agym_jax.matter.particles.solver import Obstacles, Particles, ParticleSpec, advance
 from agym_jax.matter.shapes import no_boxes, no_capsules
 
-SLICK = 0.02  # friction while they fall: they find low places
+FALL_FRICTION = 0.02  # while they fall, so that the heap becomes low
 FALL_TIME, TURN_TIME, REST_TIME = 2.0, 1.0, 2.0  # [s]
-JITTER = 5e-4  # of the grid [m]
-STILL = 0.01  # mean speed at which particles are at rest [m/s]
+JITTER = 5e-4  # standard deviation of the grids' shifts [m]
+REST_SPEED = 0.01  # mean speed below which particles are at rest [m/s]
 
 
 @dataclass(frozen=True)
-class Filling:
-    """How a bank is made.
+class FillRecipe:
+    """How a bank is built.
 
     Attributes:
         spec: of the particles.
         dt: physics step [s].
-        grid: particles along x, y, z, 10 mm apart.
-        height: of its lowest layer above the vessel's origin [m].
+        grid: number of particles along x, y, z, 10 mm apart.
+        height: of the grid's lowest layer above the vessel's origin [m].
         tilt: the largest [rad].
-        tries: grids dropped for each row.
-        finer: substeps while they fall and turn, times the spec's: a tall heap falls hard.
+        tries: grids dropped per row.
+        finer: factor on the substeps while they fall and tilt: a tall heap falls fast.
     """
 
     spec: ParticleSpec
@@ -58,9 +58,9 @@ class Filling:
     finer: int
 
 
-FILLINGS = {
-    "spoon": Filling(CONTENTS["spoon"], 0.01, (2, 2, 2), 0.0147, np.deg2rad(20.0), 16, 1),
-    "cup": Filling(CONTENTS["cup"], 0.01, (4, 4, 4), 0.075, np.deg2rad(10.0), 2, 2),
+FILL_RECIPES = {
+    "spoon": FillRecipe(CONTENTS["spoon"], 0.01, (2, 2, 2), 0.0147, np.deg2rad(20.0), 16, 1),
+    "cup": FillRecipe(CONTENTS["cup"], 0.01, (4, 4, 4), 0.075, np.deg2rad(10.0), 2, 2),
 }
 
 
@@ -87,12 +87,12 @@ def tilted(gravity_dir: np.ndarray) -> np.ndarray:
     return quat / np.linalg.norm(quat, axis=-1, keepdims=True)
 
 
-def turning(quat: Array, n_turn: int, n_rest: int) -> Obstacles:
-    """A vessel at the world's origin, nothing near, that turns from upright and then rests.
+def tilting_motion(quat: Array, n_turn: int, n_rest: int) -> Obstacles:
+    """A vessel at the world's origin that tilts from upright and then rests; no other obstacles.
 
     Args:
-        quat: its orientation at the end, wxyz (4,), less than half a turn away.
-        n_turn: physics steps in which it turns.
+        quat: final orientation, wxyz (4,), less than 180 degrees from upright.
+        n_turn: physics steps in which it tilts.
         n_rest: physics steps in which it rests.
     """
     n_moments = n_turn + n_rest + 1
@@ -108,9 +108,9 @@ def turning(quat: Array, n_turn: int, n_rest: int) -> Obstacles:
     )
 
 
-def held(quat: Array, n_rest: int) -> Obstacles:
-    """The same vessel, which has turned (4,) and rests for some physics steps."""
-    motion = turning(quat, 0, n_rest)
+def resting_motion(quat: Array, n_rest: int) -> Obstacles:
+    """The same vessel, at rest with an orientation (4,) for some physics steps."""
+    motion = tilting_motion(quat, 0, n_rest)
     return replace(motion, vessel_quat_w=jnp.broadcast_to(quat, motion.vessel_quat_w.shape))
 
 
@@ -123,37 +123,45 @@ def build(name: str, seed: int = 0, rows: int = 64) -> tuple[FillBank, dict[str,
         rows: K.
 
     Returns:
-        the bank, and how well its rows rest: speeds, overlaps, heights.
+        the bank, and facts about its rows: speeds, overlaps, heights.
 
     Raises:
-        AgymError: at some tilt no grid has come to rest inside.
+        AgymError: at some tilt no grid has come to rest inside the vessel.
     """
-    how = FILLINGS[name]
-    spec, towards = how.spec, directions(rows, how.tilt)
-    cell = np.stack(np.meshgrid(*map(np.arange, how.grid), indexing="ij"), -1).reshape(-1, 3) * 0.01
-    cell = cell - [cell[:, 0].mean(), cell[:, 1].mean(), -how.height]
-    shift = np.random.default_rng(seed).normal(0.0, JITTER, (rows, how.tries, spec.count, 3))
-    quat_w = np.repeat(tilted(towards)[:, None], how.tries, axis=1)
+    recipe = FILL_RECIPES[name]
+    spec, towards = recipe.spec, directions(rows, recipe.tilt)
+    cell = (
+        np.stack(np.meshgrid(*map(np.arange, recipe.grid), indexing="ij"), -1).reshape(-1, 3) * 0.01
+    )
+    cell = cell - [cell[:, 0].mean(), cell[:, 1].mean(), -recipe.height]
+    shift = np.random.default_rng(seed).normal(0.0, JITTER, (rows, recipe.tries, spec.count, 3))
+    quat_w = np.repeat(tilted(towards)[:, None], recipe.tries, axis=1)
 
-    steps = [round(time / how.dt) for time in (FALL_TIME, TURN_TIME, REST_TIME)]
+    steps = [round(time / recipe.dt) for time in (FALL_TIME, TURN_TIME, REST_TIME)]
 
     @jax.jit
     @jax.vmap
     @jax.vmap
     def settle(local: Array, quat: Array) -> tuple[Array, Array]:
         particles = Particles(local, jnp.zeros_like(local), jnp.ones(spec.count, bool))
-        fine, (fall, turn, rest) = replace(spec, substeps=how.finer * spec.substeps), steps
+        fine, (fall, turn, rest) = replace(spec, substeps=recipe.finer * spec.substeps), steps
         upright = jnp.array([1.0, 0.0, 0.0, 0.0])
-        fall_on = turning(upright, 0, fall), turning(quat, turn, 0), held(quat, rest)
-        for some, motion in zip((replace(fine, friction=SLICK), fine, spec), fall_on, strict=True):
-            particles, _ = advance(some, particles, motion, how.dt)
+        fall_on = (
+            tilting_motion(upright, 0, fall),
+            tilting_motion(quat, turn, 0),
+            resting_motion(quat, rest),
+        )
+        for some, motion in zip(
+            (replace(fine, friction=FALL_FRICTION), fine, spec), fall_on, strict=True
+        ):
+            particles, _ = advance(some, particles, motion, recipe.dt)
         return particles.pos_w @ rotation_matrix(quat, normalize=True), particles.vel_w
 
     out = settle(jnp.asarray(cell + shift, jnp.float32), jnp.asarray(quat_w, jnp.float32))
     pos, vel = (np.asarray(x) for x in out)
     speed = np.linalg.norm(vel, axis=-1).mean(-1)
     height = -np.einsum("ktni,ki->kt", pos, towards) / spec.count
-    well = _lies_in(spec, pos) & (speed < STILL)
+    well = _lies_in(spec, pos) & (speed < REST_SPEED)
     best = np.argmin(np.where(well, height, np.inf), axis=1)
     each = np.arange(rows)
     if not well[each, best].all():
@@ -177,8 +185,8 @@ def _lies_in(spec: ParticleSpec, pos: np.ndarray) -> np.ndarray:
     return np.all(within & (z > 0) & (z < spec.vessel.depth + 2 * spec.radius), axis=-1)
 
 
-def save_settled(bank: FillBank, name: str, provenance: dict) -> None:
-    """Write the bank of a vessel without pickle, with where it came from."""
+def save_fill(bank: FillBank, name: str, provenance: dict) -> None:
+    """Write the bank of a vessel, with its provenance."""
     arrays = {f.name: getattr(bank, f.name) for f in fields(FillBank)}
     write_arrays(fill_path(name), arrays, provenance)
 
@@ -188,19 +196,19 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax particles") ->
     parser = argparse.ArgumentParser(
         prog=prog, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("vessels", nargs="*", default=list(FILLINGS), metavar="VESSEL")
+    parser.add_argument("vessels", nargs="*", default=list(FILL_RECIPES), metavar="VESSEL")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rows", type=int, default=64)
     args = parser.parse_args(argv)
     try:
         for name in args.vessels:
-            if name not in FILLINGS:
-                raise UnknownNameError("vessel", name, FILLINGS)
+            if name not in FILL_RECIPES:
+                raise UnknownNameError("vessel", name, FILL_RECIPES)
             bank, facts = build(name, args.seed, args.rows)
             command = f"agym-jax particles {name} --seed {args.seed} --rows {args.rows}"
             versions = {p: version(p) for p in ("jax", "numpy")}
             provenance = {"command": command, "seed": args.seed, "facts": facts}
-            save_settled(bank, name, provenance | {"versions": versions})
+            save_fill(bank, name, provenance | {"versions": versions})
             print(f"{name}: {facts}")
     except AgymError as error:
         print(error, file=sys.stderr)

@@ -1,4 +1,4 @@
-"""How the banks of people in bed compare with the people whom Assistive Gym's simulation settles.
+"""Comparison of the banks of people in bed with the people whom Assistive Gym's simulation settles.
 
 ``agym-jax postures report`` prints it.
 """
@@ -42,9 +42,9 @@ AG = {
 
 
 def statistics(bank: Postures, sex: float) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Mean and spread of links [m] (3,) and angles [deg] () over AG's men (0) or women (1) of a bank.
+    """Mean and standard deviation of links [m] (3,) and angles [deg] () of a bank.
 
-    Only of those with full joint limits.
+    Over its rows of AG's man (0) or woman (1) with full joint limits.
     """
     plain = (bank.stature == 1) & (bank.girth == 1) & (bank.limit_scale == 1)
     seen: dict[str, list] = {}
@@ -62,6 +62,6 @@ def compare(bank: Postures, name: str) -> None:
     for sex, who in enumerate(("men", "women")):
         found = statistics(bank, sex)
         for key in (*AG[name], *(j for j in ARM if j not in AG[name])):
-            mean, spread = (np.round(x, 3 if key in LINKS else 0) for x in found[key])
+            mean, deviation = (np.round(x, 3 if key in LINKS else 0) for x in found[key])
             wanted = AG[name][key][sex] if key in AG[name] else "not measured"
-            print(f"{who:6} {key:18} {mean!s:24} +- {spread!s:22} AG {wanted}")
+            print(f"{who:6} {key:18} {mean!s:24} +- {deviation!s:22} AG {wanted}")

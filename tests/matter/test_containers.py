@@ -20,7 +20,7 @@ from agym_jax.matter.particles import fill as fills
 from agym_jax.matter.particles.fill import fill, fill_path, load_fill
 from agym_jax.matter.particles.solver import FOOD, WATER, Contact, Obstacles, Particles, advance
 from agym_jax.matter.shapes import columns, no_boxes, no_capsules
-from agym_jax.offline import particle_fill as settle
+from agym_jax.offline import particle_fill
 
 NUM_ENVS, PERIOD = 4, 0.1
 PARTS = {"spoon": (FOOD, 0.01), "cup": (WATER, 0.01)}
@@ -256,10 +256,12 @@ def test_shaken_harder_than_any_arm_can_no_water_passes_the_wall() -> None:
 
 @BOTH
 def test_banks(name: str) -> None:
-    spec, how, bank = PARTS[name][0], settle.FILLINGS[name], load_fill(name)
+    spec, how, bank = PARTS[name][0], particle_fill.FILL_RECIPES[name], load_fill(name)
     rows = len(bank.gravity_dir)
     assert rows == 64 and bank.pos.shape == (rows, spec.count, 3)
-    np.testing.assert_allclose(bank.gravity_dir, settle.directions(rows, how.tilt), atol=1e-6)
+    np.testing.assert_allclose(
+        bank.gravity_dir, particle_fill.directions(rows, how.tilt), atol=1e-6
+    )
     tilt = np.arccos(np.clip(-bank.gravity_dir[:, 2], -1, 1))
     assert tilt[0] < 1e-3 and tilt.max() == pytest.approx(how.tilt, abs=1e-3)
     gap = np.linalg.norm(bank.pos[:, :, None] - bank.pos[:, None], axis=-1) + np.eye(spec.count)
@@ -291,7 +293,7 @@ def test_food_settles_where_assistive_gyms_does() -> None:
 def test_fill_takes_the_nearest_tilt() -> None:
     bank = load_fill("spoon")
     for row in (0, 17, 63):
-        quat = settle.tilted(bank.gravity_dir[row].astype(float))
+        quat = particle_fill.tilted(bank.gravity_dir[row].astype(float))
         state = fill(bank, jnp.array([1.0, 2.0, 3.0]), jnp.asarray(quat, jnp.float32))
         rot = np.asarray(rotation_matrix(jnp.asarray(quat), normalize=True))
         np.testing.assert_allclose(rot @ bank.gravity_dir[row], [0, 0, -1], atol=1e-5)
@@ -316,16 +318,16 @@ def test_a_missing_or_damaged_bank_says_how_to_build_it(tmp_path: Path, monkeypa
 
 def test_a_bank_is_built_and_saved(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
     """Two rows, two grids each, through the command line."""
-    how = settle.FILLINGS["spoon"]
+    how = particle_fill.FILL_RECIPES["spoon"]
     coarse = replace(how.spec, substeps=2, sweeps=1)  # quick to compile
-    monkeypatch.setitem(settle.FILLINGS, "spoon", replace(how, spec=coarse, tries=2))
-    for module in (settle, fills):
+    monkeypatch.setitem(particle_fill.FILL_RECIPES, "spoon", replace(how, spec=coarse, tries=2))
+    for module in (particle_fill, fills):
         monkeypatch.setattr(module, "fill_path", lambda name: tmp_path / f"{name}.npz")
-    assert settle.main(["spoon", "--rows", "2", "--seed", "3"]) == 0
+    assert particle_fill.main(["spoon", "--rows", "2", "--seed", "3"]) == 0
     bank = load_fill.__wrapped__("spoon")
     assert bank.pos.shape == (2, 8, 3) and np.isfinite(bank.pos).all()
     assert "deepest_overlap" in capsys.readouterr().out
-    assert settle.main(["mug"]) == 1
+    assert particle_fill.main(["mug"]) == 1
     assert "Unknown vessel 'mug'" in capsys.readouterr().err
 
 

@@ -18,13 +18,12 @@ from agym_jax.human import pose as human_pose
 from agym_jax.human.population import Human, Population, sample_human
 from agym_jax.human.pose import BodyPose
 from agym_jax.human.posture import link_positions, load_postures, posture_path
-from agym_jax.offline import bed_postures as settle
-from agym_jax.offline import posture_report as settle_report
+from agym_jax.offline import bed_postures, posture_report
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
 from agym_jax.tasks import TASKS as ALL_TASKS
 
-TASKS = tuple(settle.SCENARIOS)
+TASKS = tuple(bed_postures.SCENARIOS)
 EACH = 128
 ROWS = 6 * EACH
 SAMPLE = 24
@@ -106,10 +105,10 @@ def test_bank_is_whole(name: str):
 def test_nobody_sinks_in_or_floats(name: str):
     bank = load_postures(name)
     for i in np.linspace(0, ROWS - 1, SAMPLE).astype(int):
-        gap = settle.clearances(bank.row(i))
+        gap = bed_postures.clearances(bank.row(i))
         worst = min(gap, key=gap.__getitem__)
-        assert gap[worst] >= -settle.DEEPEST, (i, worst, gap[worst])
-        assert min(gap["chest"], gap["waist"], gap["hips"]) <= settle.FLOATING, (i, gap)
+        assert gap[worst] >= -bed_postures.MAX_PENETRATION, (i, worst, gap[worst])
+        assert min(gap["chest"], gap["waist"], gap["hips"]) <= bed_postures.MAX_GAP, (i, gap)
         assert gap["head"] < 0.03, (i, gap["head"])  # on the pillow
 
 
@@ -157,9 +156,9 @@ def test_episodes_begin_with_people_borne_by_the_bed(name: str):
         human, pose = jax.tree.map(lambda x: x[i], (humans, poses))  # noqa: B023
         gap = _gaps_in_the_scene(name, human, pose)
         worst = min(gap, key=gap.__getitem__)
-        assert gap[worst] >= -settle.DEEPEST, (i, worst, gap[worst])
-        assert min(gap["chest"], gap["waist"], gap["hips"]) <= settle.FLOATING, (i, gap)
-        assert min(gap[x] for x in body.RIGHT_ARM_LINKS) <= settle.FLOATING, (i, gap)
+        assert gap[worst] >= -bed_postures.MAX_PENETRATION, (i, worst, gap[worst])
+        assert min(gap["chest"], gap["waist"], gap["hips"]) <= bed_postures.MAX_GAP, (i, gap)
+        assert min(gap[x] for x in body.RIGHT_ARM_LINKS) <= bed_postures.MAX_GAP, (i, gap)
 
 
 def test_a_scene_is_built_with_somebody_of_full_limits():
@@ -174,22 +173,22 @@ def test_a_scene_is_built_with_somebody_of_full_limits():
 def test_arms_lie_or_hang():
     for i in range(0, ROWS, 37):
         lying, hanging = (load_postures(name) for name in TASKS)
-        gap = settle.clearances(lying.row(i))
+        gap = bed_postures.clearances(lying.row(i))
         assert min(gap["right_upper_arm"], gap["right_forearm"], gap["right_hand"]) < 0.002
         links = link_positions(hanging.row(i))
         assert links["right_hand"][0] < -0.6  # beyond the edge,
         assert links["right_hand"][2] < 0.65  # below the mattress's top,
-        gap = settle.clearances(hanging.row(i))
+        gap = bed_postures.clearances(hanging.row(i))
         assert gap["right_upper_arm"] < 0.002  # on whose edge the upper arm rests
 
 
 def test_hanging_arm_is_at_rest_with_the_friction_and_gravity_of_the_task():
-    bank, how = load_postures("ArmManipulation"), settle.SCENARIOS["ArmManipulation"]
-    as_it_is = settle.Scenario(how.start, {}, (-9.81,), how.friction)
+    bank, how = load_postures("ArmManipulation"), bed_postures.SCENARIOS["ArmManipulation"]
+    as_it_is = bed_postures.Scenario(how.start, {}, (-9.81,), how.friction)
     for i in (0, 150, 300, 500, 700):
         row = bank.row(i)
-        again, speed = settle.rest_arm(row, as_it_is)
-        assert speed < settle.STILL
+        again, speed = bed_postures.rest_arm(row, as_it_is)
+        assert speed < bed_postures.REST_SPEED
         moved, before = (link_positions(x)["right_hand"] for x in (again, row))
         np.testing.assert_allclose(moved, before, atol=0.005)  # of 1.2 m below the shoulder
 
@@ -197,8 +196,8 @@ def test_hanging_arm_is_at_rest_with_the_friction_and_gravity_of_the_task():
 @pytest.mark.parametrize("name", TASKS)
 @pytest.mark.parametrize("sex", [0, 1])
 def test_people_lie_as_the_reference_measured(name: str, sex: int):
-    found = settle_report.statistics(load_postures(name), sex)
-    for key, values in settle_report.AG[name].items():
+    found = posture_report.statistics(load_postures(name), sex)
+    for key, values in posture_report.AG[name].items():
         mean = found[key][0]
         if key in body.LINK:
             # ours has the mass where it belongs; measured differences: trunk 1.3 cm, wrist 11 cm along
@@ -211,29 +210,29 @@ def test_people_lie_as_the_reference_measured(name: str, sex: int):
 
 def test_self_collision_mask_is_the_reference_one():
     # humans.md section 3, "Self-collision mask"
-    assert settle.may_touch("right_hand", "chest")
-    assert settle.may_touch("right_forearm", "left_hand")
-    assert settle.may_touch("head", "left_upper_arm")
-    assert settle.may_touch("right_hand", "right_thigh")
-    assert settle.may_touch("left_thigh", "right_thigh")
-    assert settle.may_touch("left_girdle", "right_upper_arm")
-    assert not settle.may_touch("right_girdle", "right_upper_arm")
-    assert not settle.may_touch("right_hand", "right_forearm")
-    assert not settle.may_touch("right_thigh", "hips")
-    assert not settle.may_touch("left_shin", "waist")
-    assert not settle.may_touch("head", "chest")
+    assert bed_postures.may_collide("right_hand", "chest")
+    assert bed_postures.may_collide("right_forearm", "left_hand")
+    assert bed_postures.may_collide("head", "left_upper_arm")
+    assert bed_postures.may_collide("right_hand", "right_thigh")
+    assert bed_postures.may_collide("left_thigh", "right_thigh")
+    assert bed_postures.may_collide("left_girdle", "right_upper_arm")
+    assert not bed_postures.may_collide("right_girdle", "right_upper_arm")
+    assert not bed_postures.may_collide("right_hand", "right_forearm")
+    assert not bed_postures.may_collide("right_thigh", "hips")
+    assert not bed_postures.may_collide("left_shin", "waist")
+    assert not bed_postures.may_collide("head", "chest")
 
 
 def test_settling_is_the_same_for_the_same_seed():
-    banks = [settle.build_bank("ArmManipulation", seed=5, each=1)[0] for _ in range(2)]
+    banks = [bed_postures.build_bank("ArmManipulation", seed=5, each=1)[0] for _ in range(2)]
     for a, b in zip(*map(jax.tree.leaves, banks), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
 def test_a_bank_that_cannot_be_filled_says_so(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(settle, "settle", lambda *_: "fell off the bed")
+    monkeypatch.setattr(bed_postures, "settle", lambda *_: "fell off the bed")
     with pytest.raises(AgymError, match="fell off the bed"):
-        settle.build_bank("BedBathing", each=1)
+        bed_postures.build_bank("BedBathing", each=1)
 
 
 def test_missing_and_damaged_banks_name_file_and_remedy(monkeypatch, tmp_path):

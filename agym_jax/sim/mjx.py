@@ -18,6 +18,7 @@ from agym_jax.compat.mjx_print import mjx
 from agym_jax.compat.warp_kernels import compile_kernels, wait_for_kernels
 from agym_jax.compat.warp_streams import hold_streams
 from agym_jax.sense import Motion
+from agym_jax.math3d import rotation_matrix
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import model_fields, start_qpos
 from agym_jax.sim.scene import Scene
@@ -167,17 +168,6 @@ def place_static_geoms(static: np.ndarray, model: mjx.Model, data: mjx.Data) -> 
     bodies = np.asarray(model.geom_bodyid)[static]
     turn = data.xmat[bodies].reshape(-1, 3, 3)
     pos = data.xpos[bodies] + jnp.einsum("nij,nj->ni", turn, model.geom_pos[static])
-    mat = turn @ _matrices(model.geom_quat[static])
+    mat = turn @ rotation_matrix(model.geom_quat[static])
     xmat = data.geom_xmat.at[static].set(mat.reshape(-1, *data.geom_xmat.shape[1:]))
     return data.replace(geom_xpos=data.geom_xpos.at[static].set(pos), geom_xmat=xmat)
-
-
-def _matrices(quats: Array) -> Array:
-    """Rotation matrices (n, 3, 3) of unit quaternions wxyz (n, 4)."""
-    w, x, y, z = jnp.moveaxis(quats, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return jnp.moveaxis(jnp.array(rows), -1, 0)

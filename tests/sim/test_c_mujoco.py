@@ -21,9 +21,9 @@ import agym_jax
 from agym_jax.errors import ImplementationError
 from agym_jax.human import limits
 from agym_jax.policy import baseline_policy
-from agym_jax.sim.sensing import add_contacts, no_contacts, read_contacts
 from agym_jax.sim.c_mujoco import MOTION
 from agym_jax.sim.physics import choose_impl
+from agym_jax.sim.sensing import add_contacts, no_contacts, read_contacts
 from agym_jax.wrappers import vectorize
 from train import enjoy
 

@@ -21,8 +21,8 @@ from agym_jax.human.population import Population, sample_human
 from agym_jax.human.pose import sample_pose
 from agym_jax.math3d import rotation_matrix
 from agym_jax.offline import kinematics
-from agym_jax.sim.sensing import add_contacts, motion_at_rest, no_contacts, sense
 from agym_jax.sim.episode import human_rows
+from agym_jax.sim.sensing import add_contacts, motion_at_rest, no_contacts, sense
 from agym_jax.state import Episode, Placement
 
 pytestmark = pytest.mark.parity

@@ -124,7 +124,7 @@ def test_water_is_the_same_on_both():
     assert np.linalg.norm(pos[-1] - pos[0], axis=-1).mean() > 0.05  # and they did travel
 
 
-LIMITS = (mjx_physics.WARP_ROWS_PER_WORLD, mjx_physics.WARP_CONTACTS_PER_WORLD)
+LIMITS = (mjx_physics.WARP_ROWS_PER_ENV, mjx_physics.WARP_CONTACTS_PER_ENV)
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from paths import ROOT, SUPPORT
 
+from train.learning.ppo import Hyper
 from train.learning.rollout import init_rollout
 from train.learning.update import make_updates
 from train.runs.checkpoint import checkpoint_files, load_newest, save_checkpoint
@@ -69,18 +70,18 @@ def check_continued(result: Any, said: list[str], config: Any, updates: int) -> 
     assert len((result.folder / "curve.jsonl").read_text().splitlines()) == updates
 
 
-def check_restored(env: Any, config: Any, algorithm: Any, folder: Path) -> Any:
+def check_restored(env: Any, config: Any, agents: Any, folder: Path) -> Any:
     """A saved and restored learner learns on exactly as one that was never saved; returns it."""
-    venv = env.vectorize(config.num_envs)
-    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
-    batch = jax.jit(lambda key: init_rollout(venv, key, True))(jax.random.PRNGKey(1))
-    run = jax.jit(make_updates(venv, config, algorithm))
-    middle, batch, _ = run(learner, batch, jnp.int32(3), jnp.float32(800))
-    unbroken, _, _ = run(middle, batch, jnp.int32(2), jnp.float32(800))
+    venv, hyper = env.vectorize(config.num_envs), Hyper.of(config, 800)
+    learner = jax.jit(agents.init)(jax.random.PRNGKey(0))
+    rollout = jax.jit(lambda key: init_rollout(venv, key, True))(jax.random.PRNGKey(1))
+    run = jax.jit(make_updates(venv, config, agents))
+    middle, rollout, _ = run(learner, rollout, jnp.int32(3), hyper)
+    unbroken, _, _ = run(middle, rollout, jnp.int32(2), hyper)
 
-    save_checkpoint(folder, middle, {"belongs": {}})
+    save_checkpoint(folder, middle, {"compatibility": {}})
     restored = load_newest(folder, learner, {}).learner
-    resumed, _, _ = run(restored, batch, jnp.int32(2), jnp.float32(800))
+    resumed, _, _ = run(restored, rollout, jnp.int32(2), hyper)
     assert env.traces["step"] == 1
     assert same_bytes(unbroken, resumed) and not same_bytes(middle, resumed)
     return restored

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fake_env import FakeEnv
 
 from agym_jax.data.npz import check_writable, read_npz, write_npz
 from agym_jax.errors import DamagedFileError, SaveFolderError
@@ -17,7 +19,7 @@ from train.errors import (
     CheckpointMismatchError,
     CheckpointWarning,
 )
-from train.learning.ppo import architecture, init_learner
+from train.learning.agents import Agents, LearnerState
 from train.runs.checkpoint import (
     KEEP,
     checkpoint_files,
@@ -27,14 +29,18 @@ from train.runs.checkpoint import (
 )
 
 CONFIG = PPOConfig(policy_hidden=(8,), value_hidden=(8,))
-BELONGS = {"env": "FakeReach-v0", "layout": "fake-1"}
+COMPATIBILITY = {"env": "FakeReach-v0", "layout": "fake-1"}
+
+
+def agents_of(config):
+    """The agent of the fake environment."""
+    return Agents(config, FakeEnv(), ("robot",))
 
 
 @pytest.fixture(scope="module")
 def learner():
     """A learner with no leaf at its initial value."""
-    arch = architecture(CONFIG, 4, 2)
-    learner = jax.jit(lambda key: init_learner(CONFIG, arch, key))(jax.random.PRNGKey(0))
+    learner = jax.jit(agents_of(CONFIG).init)(jax.random.PRNGKey(0))
     leaves, tree = jax.tree.flatten(learner)
     rng = np.random.default_rng(0)
     leaves = [
@@ -48,18 +54,24 @@ def learner():
 
 def at_step(learner, steps):
     """The learner as if it had made so many steps."""
-    return learner.__class__(**{**vars(learner), "env_steps": jnp.uint32(steps)})
+    agents = {
+        name: replace(agent, env_steps=jnp.uint32(steps)) for name, agent in learner.agents.items()
+    }
+    return LearnerState(agents, learner.key)
 
 
 def save_steps(folder, learner, *steps):
     """Save checkpoints of some steps."""
-    return [save_checkpoint(folder, at_step(learner, s), {"belongs": BELONGS}) for s in steps]
+    return [
+        save_checkpoint(folder, at_step(learner, s), {"compatibility": COMPATIBILITY})
+        for s in steps
+    ]
 
 
 def test_a_learner_comes_back_bit_for_bit_with_its_types(tmp_path, learner):
     (path,) = save_steps(tmp_path, learner, 700)
     template = jax.eval_shape(lambda: at_step(learner, 0))
-    found = load_checkpoint(path, template, BELONGS)
+    found = load_checkpoint(path, template, COMPATIBILITY)
     wanted = at_step(learner, 700)
     assert jax.tree.structure(found.learner) == jax.tree.structure(wanted)
     for have, want in zip(jax.tree.leaves(found.learner), jax.tree.leaves(wanted), strict=True):
@@ -77,15 +89,15 @@ def test_only_the_newest_few_are_kept_and_leftovers_of_a_kill_are_removed(tmp_pa
 @pytest.mark.parametrize("damage", ["cut", "flip", "empty", "other"])
 def test_a_damaged_checkpoint_is_skipped_with_a_warning(tmp_path, learner, damage):
     before, newest = save_steps(tmp_path, learner, 100, 200)
-    content = bytearray(newest.read_bytes())
-    kernel = np.asarray(learner.params.value["params"]["hidden_0"]["kernel"]).tobytes()
+    content, robot = bytearray(newest.read_bytes()), learner.agents["robot"]
+    kernel = np.asarray(robot.params.value["params"]["hidden_0"]["kernel"]).tobytes()
     content[content.index(kernel) + 9] ^= 0x40
     other = np.random.default_rng(0).bytes(500)
     newest.write_bytes(
         {"cut": content[: len(content) // 3], "flip": content, "empty": b"", "other": other}[damage]
     )
     with pytest.warns(CheckpointWarning, match=r"step_000000000200.*Using the one before it"):
-        found = load_newest(tmp_path, learner, BELONGS)
+        found = load_newest(tmp_path, learner, COMPATIBILITY)
     assert found.path == before and int(found.learner.env_steps) == 100
 
 
@@ -111,31 +123,29 @@ def test_when_all_are_damaged_the_error_says_what_to_do(tmp_path, learner):
         pytest.warns(CheckpointWarning),
         pytest.raises(DamagedFileError, match=r"All 2 checkpoints.*--fresh"),
     ):
-        load_newest(tmp_path, learner, BELONGS)
+        load_newest(tmp_path, learner, COMPATIBILITY)
 
 
 def test_a_folder_without_checkpoints_gives_none(tmp_path, learner):
-    assert load_newest(tmp_path / "nowhere", learner, BELONGS) is None
+    assert load_newest(tmp_path / "nowhere", learner, COMPATIBILITY) is None
 
 
 def test_a_checkpoint_of_another_environment_or_layout_is_refused_by_name(tmp_path, learner):
     save_steps(tmp_path, learner, 1)
     text = r"env is 'FakeReach-v0', this run has 'Other-v0'.*--save-dir.*--fresh"
     with pytest.raises(CheckpointMismatchError, match=text):
-        load_newest(tmp_path, learner, {**BELONGS, "env": "Other-v0"})
+        load_newest(tmp_path, learner, {**COMPATIBILITY, "env": "Other-v0"})
     with pytest.raises(CheckpointMismatchError, match="layout is 'fake-1', this run has 'fake-2'"):
-        load_newest(tmp_path, learner, {**BELONGS, "layout": "fake-2"})
+        load_newest(tmp_path, learner, {**COMPATIBILITY, "layout": "fake-2"})
 
 
 def test_a_checkpoint_of_another_network_names_the_sizes(tmp_path, learner):
     save_steps(tmp_path, learner, 1)
     config = PPOConfig(policy_hidden=(16,), value_hidden=(8,))
-    wider = jax.eval_shape(
-        lambda: init_learner(config, architecture(config, 4, 2), jax.random.PRNGKey(0))
-    )
-    text = r"params/policy/params/.* is float32\[4, 8\], not float32\[4, 16\]"
+    wider = jax.eval_shape(agents_of(config).init, jax.random.PRNGKey(0))
+    text = r"agents/robot/params/policy/params/.* is float32\[4, 8\], not float32\[4, 16\]"
     with pytest.raises(CheckpointMismatchError, match=text):
-        load_newest(tmp_path, wider, BELONGS)
+        load_newest(tmp_path, wider, COMPATIBILITY)
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_no_rubbish(tmp_path, monkeypatch):

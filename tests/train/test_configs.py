@@ -120,7 +120,7 @@ def test_the_command_line_of_two_learners_knows_its_own_flags():
     assert parse_arguments([], CoopConfig).env_name == "ScratchItchJacoHuman-v0"
 
 
-def test_worlds_that_devices_cannot_share_get_a_suggestion():
+def test_environments_that_devices_cannot_share_get_a_suggestion():
     assert resolve(PPOConfig(num_envs=64), "gpu", devices=4).devices == 4
     with pytest.raises(ConfigError, match=r"30 environments .* 4 devices.*--num-envs 32"):
         resolve(PPOConfig(num_envs=30), "gpu", devices=4)

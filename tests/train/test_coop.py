@@ -21,7 +21,8 @@ from train import coop, ppo
 from train.configs import CoopConfig, PPOConfig
 from train.errors import ActiveHumanError, CheckpointMismatchError, ConfigError
 from train.evaluate import Evaluator
-from train.learning.agents import TwoLearners
+from train.learning.agents import Agents
+from train.learning.ppo import Hyper
 from train.learning.rollout import collect, critic_obs, init_rollout
 from train.runs.checkpoint import checkpoint_files
 from train.runs.result import summary
@@ -37,6 +38,8 @@ CONFIG = CoopConfig(
     log_interval=8,
 )
 SMALL = dataclasses.replace(CONFIG, num_envs=4, num_env_steps=80, save_dir=None)
+PAIR = ("robot", "human")
+HYPER = Hyper.of(SMALL, 800)
 CRITICS = pytest.mark.parametrize("central", [False, True], ids=["own critic", "central critic"])
 
 
@@ -49,31 +52,31 @@ def trained(tmp_path_factory):
 
 
 def updated(config, env=None):
-    """Two learners, a rollout of theirs and what follows it."""
+    """Two agents, their state, a rollout of theirs and what follows it."""
     env = env or FakePairEnv()
-    venv, algorithm = env.vectorize(config.num_envs), TwoLearners(config, env)
-    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
-    batch = jax.jit(lambda key: init_rollout(venv, key, True))(jax.random.PRNGKey(1))
-    batch, batch, _ = jax.jit(
-        lambda batch, key: collect(
-            lambda obs, key: algorithm.act(learner, obs, key),
+    venv, agents = env.vectorize(config.num_envs), Agents(config, env, PAIR)
+    learner = jax.jit(agents.init)(jax.random.PRNGKey(0))
+    rollout = jax.jit(lambda key: init_rollout(venv, key, True))(jax.random.PRNGKey(1))
+    rollout, batch, _ = jax.jit(
+        lambda rollout, key: collect(
+            lambda obs, key: agents.act(learner, obs, key),
             venv,
-            batch,
+            rollout,
             key,
             num_steps=config.num_steps,
             gamma=config.gamma,
             reward_scaling=1.0,
         )
-    )(batch, jax.random.PRNGKey(2))
-    return algorithm, learner, batch, critic_obs(batch.env_state)
+    )(rollout, jax.random.PRNGKey(2))
+    return agents, learner, batch, critic_obs(rollout.env_state)
 
 
 def with_other_weights(learner, agent):
-    """The learners with the networks of one replaced by noise."""
-    member = learner.members[agent]
-    noise = jax.tree.map(lambda x: x + jnp.cos(jnp.arange(x.size)).reshape(x.shape), member.params)
-    members = {**learner.members, agent: dataclasses.replace(member, params=noise)}
-    return dataclasses.replace(learner, members=members)
+    """The learner with the networks of one agent replaced by noise."""
+    state = learner.agents[agent]
+    noise = jax.tree.map(lambda x: x + jnp.cos(jnp.arange(x.size)).reshape(x.shape), state.params)
+    states = {**learner.agents, agent: dataclasses.replace(state, params=noise)}
+    return dataclasses.replace(learner, agents=states)
 
 
 def test_two_learn_together_what_neither_can_do_alone(trained):
@@ -113,12 +116,12 @@ def test_the_folder_has_both_policies(trained):
 @pytest.mark.parametrize("agent", ["robot", "human"])
 def test_an_action_does_not_depend_on_what_the_other_sees_by_one_bit(central, agent):
     config = dataclasses.replace(SMALL, central_critic=central)
-    algorithm = TwoLearners(config, FakePairEnv())
-    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
-    act = jax.jit(algorithm.act)
+    agents = Agents(config, FakePairEnv(), PAIR)
+    learner = jax.jit(agents.init)(jax.random.PRNGKey(0))
+    act = jax.jit(agents.act)
     own, other = ([0, 1], [2, 3, 4]) if agent == "robot" else ([2, 3, 4], [0, 1])
     obs, key = jax.random.normal(jax.random.PRNGKey(1), (64, 5)), jax.random.PRNGKey(2)
-    pair = Pair(*algorithm.policies(learner, {}).values(), robot_columns=2)
+    pair = Pair(*agents.policies(learner, {}).values(), robot_columns=2)
     acting = jax.jit(pair.__call__, static_argnames="deterministic")
     column = 0 if agent == "robot" else 1
 
@@ -134,12 +137,12 @@ def test_an_action_does_not_depend_on_what_the_other_sees_by_one_bit(central, ag
 
 
 def test_acting_and_learning_never_round_to_tf32():
-    algorithm, learner, batch, last = updated(SMALL)
+    agents, learner, batch, last = updated(SMALL)
     key, obs = jax.random.PRNGKey(3), batch.obs[0]
-    policy = algorithm.policies(learner, {})["robot"]
+    policy = agents.policies(learner, {})["robot"]
     programs = [
-        full(algorithm.act, learner, obs, key),
-        full(algorithm.learn, learner, batch, last, key, jnp.float32(800)),
+        full(agents.act, learner, obs, key),
+        full(agents.learn, learner, batch, last, key, HYPER),
         full(lambda obs: policy(obs), obs[:, :2]),
     ]
     assert all(found and all(found) for found in programs)
@@ -148,61 +151,57 @@ def test_acting_and_learning_never_round_to_tf32():
 @CRITICS
 @pytest.mark.parametrize(("agent", "other"), [("robot", "human"), ("human", "robot")])
 def test_given_the_batch_learning_does_not_depend_on_the_other_networks(central, agent, other):
-    algorithm, learner, batch, last = updated(dataclasses.replace(SMALL, central_critic=central))
-    learn = jax.jit(algorithm.learn)
-    key, total = jax.random.PRNGKey(3), jnp.float32(800)
-    after, losses = learn(learner, batch, last, key, total)
-    disturbed, changed = learn(with_other_weights(learner, other), batch, last, key, total)
-    assert same_bytes(after.members[agent], disturbed.members[agent])
-    assert not same_bytes(after.members[other].params, disturbed.members[other].params)
-    assert not same_bytes(after.members[agent].params, learner.members[agent].params)
+    agents, learner, batch, last = updated(dataclasses.replace(SMALL, central_critic=central))
+    learn = jax.jit(agents.learn)
+    key = jax.random.PRNGKey(3)
+    after, losses = learn(learner, batch, last, key, HYPER)
+    disturbed, changed = learn(with_other_weights(learner, other), batch, last, key, HYPER)
+    assert same_bytes(after.agents[agent], disturbed.agents[agent])
+    assert not same_bytes(after.agents[other].params, disturbed.agents[other].params)
+    assert not same_bytes(after.agents[agent].params, learner.agents[agent].params)
     own = [name for name in losses if name.startswith(agent)]
     assert same_bytes([losses[n] for n in own], [changed[n] for n in own])
 
 
 def test_a_central_critic_reads_both_and_a_policy_never_does():
-    algorithm, learner, batch, last = updated(dataclasses.replace(SMALL, central_critic=True))
-    for agent in algorithm.agents:
-        member = learner.members[agent.name]
-        assert member.value_normalizer.mean.shape == (5,)
-        assert member.normalizer.mean.shape == (agent.part.sizes[0],)
+    agents, learner, batch, last = updated(dataclasses.replace(SMALL, central_critic=True))
+    for agent in agents.agents:
+        state = learner.agents[agent.name]
+        assert state.critic_normalizer.mean.shape == (5,)
+        assert state.normalizer.mean.shape == (agent.part.sizes[0],)
         value = agent.networks.value_network.apply
-        seen = agent.of(batch.obs)
+        seen = agent.critic_view(batch.critic_obs)
         assert seen.shape[-1] == 5
-        moved = value(member.value_normalizer, member.params.value, seen + 1.0)
-        assert not np.allclose(moved, value(member.value_normalizer, member.params.value, seen))
-    after, _ = jax.jit(algorithm.learn)(
-        learner, batch, last, jax.random.PRNGKey(3), jnp.float32(800)
-    )
-    statistics = after.members["human"].value_normalizer
+        moved = value(state.critic_normalizer, state.params.value, seen + 1.0)
+        assert not np.allclose(moved, value(state.critic_normalizer, state.params.value, seen))
+    after, _ = jax.jit(agents.learn)(learner, batch, last, jax.random.PRNGKey(3), HYPER)
+    statistics = after.agents["human"].critic_normalizer
     assert np.allclose(statistics.mean, batch.obs.mean((0, 1)), atol=1e-5)
     run = coop.train(FakePairEnv(), dataclasses.replace(SMALL, central_critic=True))
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(run.learner.members))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(run.learner.agents))
 
 
 @CRITICS
 def test_value_functions_read_what_is_hidden_and_policies_never_do(central):
     env = FakePairEnv(privileged_obs_size=1)
     config = dataclasses.replace(SMALL, central_critic=central)
-    algorithm, learner, batch, last = updated(config, env)
-    assert batch.value_obs.shape[-1] == last.shape[-1] == 6
-    after, _ = jax.jit(algorithm.learn)(
-        learner, batch, last, jax.random.PRNGKey(3), jnp.float32(800)
-    )
-    for agent in algorithm.agents:
-        member, own = after.members[agent.name], agent.part.sizes[0]
-        assert member.normalizer.mean.shape == (own,)
-        assert member.value_normalizer.mean.shape == (6 if central else own + 1,)
-        clock = batch.value_obs[..., -1]
-        assert np.isclose(member.value_normalizer.mean[-1], clock.mean(), atol=1e-5)
+    agents, learner, batch, last = updated(config, env)
+    assert batch.critic_obs.shape[-1] == last.shape[-1] == 6
+    after, _ = jax.jit(agents.learn)(learner, batch, last, jax.random.PRNGKey(3), HYPER)
+    for agent in agents.agents:
+        state, own = after.agents[agent.name], agent.part.sizes[0]
+        assert state.normalizer.mean.shape == (own,)
+        assert state.critic_normalizer.mean.shape == (6 if central else own + 1,)
+        clock = batch.critic_obs[..., -1]
+        assert np.isclose(state.critic_normalizer.mean[-1], clock.mean(), atol=1e-5)
         view = agent.view(batch)
-        assert view.obs.shape[-1] == own and np.array_equal(view.value_obs[..., -1], clock)
+        assert view.obs.shape[-1] == own and np.array_equal(view.critic_obs[..., -1], clock)
         ended = batch.done > 0
-        assert (view.final_observation[..., -1][ended] == 1.0).all() and (clock < 1.0).all()
-    blind = TwoLearners(dataclasses.replace(config, privileged_critic=False), env)
-    assert [agent.value_size for agent in blind.agents] == ([5, 5] if central else [None, None])
+        assert (view.final_critic_obs[..., -1][ended] == 1.0).all() and (clock < 1.0).all()
+    blind = Agents(dataclasses.replace(config, privileged_critic=False), env, PAIR)
+    assert [agent.critic_size for agent in blind.agents] == ([5, 5] if central else [None, None])
     run = coop.train(env, dataclasses.replace(config, privileged_critic=False))
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(run.learner.members))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(run.learner.agents))
 
 
 def test_one_learner_reads_what_is_hidden_too():
@@ -210,16 +209,18 @@ def test_one_learner_reads_what_is_hidden_too():
     config = PPOConfig(**{k: getattr(SMALL, k) for k in ("num_envs", "num_mini_batch")})
     config = dataclasses.replace(config, num_env_steps=80, save_dir=None)
     run = ppo.train(env, config)
-    assert run.learner.value_normalizer.mean.shape == (3,) and run.policy.mean.shape == (2,)
+    assert run.learner.agents["robot"].critic_normalizer.mean.shape == (
+        3,
+    ) and run.policy.mean.shape == (2,)
     plain = ppo.train(env, dataclasses.replace(config, privileged_critic=False))
-    assert plain.learner.value_normalizer is None
-    assert not same_bytes(plain.learner.params.policy, run.learner.params.policy)
+    assert plain.learner.agents["robot"].critic_normalizer is None
+    assert not same_bytes(plain.policy.weights, run.policy.weights)
 
 
 @CRITICS
 def test_restored_learners_learn_on_exactly_as_those_that_were_never_saved(tmp_path, central):
     config, env = dataclasses.replace(SMALL, central_critic=central), FakePairEnv()
-    restored = check_restored(env, config, TwoLearners(config, env), tmp_path)
+    restored = check_restored(env, config, Agents(config, env, PAIR), tmp_path)
     assert int(restored.env_steps) == 3 * 80
 
 
@@ -248,7 +249,7 @@ def test_a_frozen_agent_stays_as_it_is_and_the_other_learns(trained, tmp_path, f
     kept = load_policy(tmp_path / env.name / file.name)
     given = result.policies[frozen]
     assert same_bytes(kept, given) and kept.info == load_policy(file).info
-    assert same_bytes(second.learner.members[frozen].params.policy, given.weights)
+    assert same_bytes(second.learner.agents[frozen].params.policy, given.weights)
     assert second.last("success") > 0.9
     assert {name.split("/")[1] for name in second.curve[0] if name.startswith("loss/")} == {learns}
     assert int(second.learner.env_steps) == second.env_steps
@@ -262,10 +263,10 @@ def test_a_frozen_agent_acts_by_its_mode(trained):
     _, result = trained
     file = result.folder / "human_policy.npz"
     config = dataclasses.replace(SMALL, human_policy=str(file), freeze_human=True)
-    algorithm = TwoLearners(config, FakePairEnv())
-    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
+    agents = Agents(config, FakePairEnv(), PAIR)
+    learner = jax.jit(agents.init)(jax.random.PRNGKey(0))
     obs = jax.random.normal(jax.random.PRNGKey(1), (64, 5))
-    action, _, _ = algorithm.act(learner, obs, jax.random.PRNGKey(2))
+    action, _, _ = agents.act(learner, obs, jax.random.PRNGKey(2))
     human = result.policies["human"](obs[:, 2:])
     assert np.allclose(action[:, 1:], human, atol=1e-5)
 
@@ -277,9 +278,9 @@ def test_a_robot_can_start_from_what_it_learned_with_a_person_who_holds_still(tm
         FakePairEnv(active=False), PPOConfig(**{**same, "save_dir": str(tmp_path), "lr": 0.01})
     )
     config = dataclasses.replace(SMALL, robot_policy=str(still.folder / "policy.npz"))
-    algorithm = TwoLearners(config, FakePairEnv())
-    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
-    robot = learner.members["robot"]
+    agents = Agents(config, FakePairEnv(), PAIR)
+    learner = jax.jit(agents.init)(jax.random.PRNGKey(0))
+    robot = learner.agents["robot"]
     assert same_bytes(robot.params.policy, still.policy.weights)
     assert same_bytes(
         (robot.normalizer.mean, robot.normalizer.std), (still.policy.mean, still.policy.std)

@@ -23,11 +23,11 @@ from train.configs import CoopConfig, PPOConfig
 from train.crossplay import STILL
 from train.errors import ActiveHumanError, ConfigError
 from train.evaluate import Evaluator
-from train.learning.agents import TwoLearners
-from train.learning.algorithm import OneLearner
+from train.learning.agents import Agents
 from train.runs.folder import RunFolder
 
 NAME, STILL_NAME = "FakeCarryHuman-v0", "FakeCarry-v0"
+PAIR = ("robot", "human")
 SMALL = {"policy_hidden": (8,), "value_hidden": (8,), "policy_head_gain": 1.0}
 
 
@@ -45,9 +45,9 @@ def make(name: str, impl: str = "auto", **changes) -> FakePairEnv:
     return FakePairEnv(active=name.endswith("Human-v0"), **changes)
 
 
-def policies(algorithm, env, seed):
-    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(seed))
-    return algorithm.policies(learner, {"env": env.name, "versions": {"agym_jax": "0.1.0"}})
+def policies(agents, env, seed):
+    learner = jax.jit(agents.init)(jax.random.PRNGKey(seed))
+    return agents.policies(learner, {"env": env.name, "versions": {"agym_jax": "0.1.0"}})
 
 
 @pytest.fixture(scope="module")
@@ -56,15 +56,15 @@ def runs(tmp_path_factory):
     root = tmp_path_factory.mktemp("runs")
     active, still = make(NAME), make(STILL_NAME)
     made = {
-        "a": (TwoLearners(CoopConfig(**SMALL), active), active, 0),
-        "b": (TwoLearners(CoopConfig(**SMALL), active), active, 1),
-        "joint": (OneLearner(PPOConfig(**SMALL), active), active, 2),
-        "still": (OneLearner(PPOConfig(**SMALL), still), still, 3),
+        "a": (Agents(CoopConfig(**SMALL), active, PAIR), active, 0),
+        "b": (Agents(CoopConfig(**SMALL), active, PAIR), active, 1),
+        "joint": (Agents(PPOConfig(**SMALL), active, ("joint",)), active, 2),
+        "still": (Agents(PPOConfig(**SMALL), still, ("robot",)), still, 3),
     }
-    for name, (algorithm, env, seed) in made.items():
-        RunFolder(str(root / name), env.name).save_policies(policies(algorithm, env, seed))
+    for name, (agents, env, seed) in made.items():
+        RunFolder(str(root / name), env.name).save_policies(policies(agents, env, seed))
     other = make(NAME, task_name="FakePull")
-    found = policies(TwoLearners(CoopConfig(**SMALL), other), other, 4)
+    found = policies(Agents(CoopConfig(**SMALL), other, PAIR), other, 4)
     RunFolder(str(root / "other"), other.name).save_policies(found)
     return SimpleNamespace(
         root=root,

@@ -22,34 +22,35 @@ import json
 import jax, jax.numpy as jnp, numpy as np
 from jax.sharding import PartitionSpec as P
 from fake_pair_env import FakePairEnv
-from train.learning.algorithm import OneLearner
 from train.configs import CoopConfig, PPOConfig
-from train.learning.rollout import collect, init_rollout
-from train.learning.agents import TwoLearners
-from train.learning.update import AXIS, device_mesh
+from train.learning.agents import Agents
+from train.learning.ppo import Hyper
+from train.learning.rollout import collect, critic_obs, init_rollout
+from train.learning.sharding import AXIS, device_mesh
 
 SETTINGS = dict(num_mini_batch=1, ppo_epoch=3, policy_hidden=(16,), value_hidden=(16,), lr=1e-2,
                 distribution="normal", entropy_coef=0.01)
 env = FakePairEnv()
-algorithms = {
-    "one learner": OneLearner(PPOConfig(**SETTINGS), env),
-    "two learners": TwoLearners(CoopConfig(**SETTINGS), env),
-    "central critic": TwoLearners(CoopConfig(**SETTINGS, central_critic=True), env),
+PAIR = ("robot", "human")
+cases = {
+    "one agent": Agents(PPOConfig(**SETTINGS), env, ("joint",)),
+    "two agents": Agents(CoopConfig(**SETTINGS), env, PAIR),
+    "central critic": Agents(CoopConfig(**SETTINGS, central_critic=True), env, PAIR),
 }
 found = {}
-for name, algorithm in algorithms.items():
+for name, agents in cases.items():
     venv = env.vectorize(8)
-    learner = jax.jit(algorithm.init)(jax.random.PRNGKey(0))
-    batch = init_rollout(venv, jax.random.PRNGKey(1), True)
-    batch, batch, _ = jax.jit(lambda batch: collect(
-        lambda obs, key: algorithm.act(learner, obs, key), venv, batch, jax.random.PRNGKey(2),
-        num_steps=30, gamma=0.99, reward_scaling=1.0))(batch)
-    key, total = jax.random.PRNGKey(3), jnp.float32(1000)
+    learner = jax.jit(agents.init)(jax.random.PRNGKey(0))
+    rollout = init_rollout(venv, jax.random.PRNGKey(1), True)
+    rollout, batch, _ = jax.jit(lambda rollout: collect(
+        lambda obs, key: agents.act(learner, obs, key), venv, rollout, jax.random.PRNGKey(2),
+        num_steps=30, gamma=0.99, reward_scaling=1.0))(rollout)
+    key, hyper = jax.random.PRNGKey(3), Hyper.of(agents.config, 1000)
 
     def learn(learner, batch, last, axis=None):
-        return algorithm.learn(learner, batch, last, key, total, axis)
+        return agents.learn(learner, batch, last, key, hyper, axis)
 
-    last = batch.env_state.obs
+    last = critic_obs(rollout.env_state)
     whole, losses = jax.jit(learn)(learner, batch, last)
     shared = jax.shard_map(
         lambda *x: learn(*x, axis=AXIS), mesh=device_mesh(0), check_vma=False,
@@ -62,7 +63,7 @@ for name, algorithm in algorithms.items():
         pairs = [(np.asarray(x, float), np.asarray(y, float)) for x, y in pairs]
         return max(float((np.abs(x - y) / np.maximum(1, np.abs(x))).max()) for x, y in pairs)
 
-    params = lambda state: [x.params for x in getattr(state, "members", {"": state}).values()]
+    params = lambda state: [agent.params for agent in state.agents.values()]
     found[name] = {
         "all": apart(whole, halves), "losses": apart(losses, losses_of_two),
         "moved": apart(params(whole), params(learner)),
@@ -76,28 +77,28 @@ print(json.dumps(found))
 EMPTY = """
 import json
 import jax, jax.numpy as jnp
-from train.learning.update import device_mesh, shardings, shard
+from train.learning.sharding import AXIS, device_mesh, shard, shardings
 
 nothing, three = jnp.zeros((0, 2)), jnp.arange(3.0)
 
 def first(key):
     return {"none": jnp.zeros((2, 0), jnp.int32), "x": jax.random.normal(key, (2,)) + nothing.sum()}
 
-def run(learner, batch, count, total_steps):
-    assert batch["none"].shape == (2, 0) and batch["none"].dtype == jnp.int32
-    moved = batch["x"] + three.sum() + learner + nothing.sum()
-    return learner, batch | {"x": moved}, {"sum": jax.lax.psum(moved.sum(), "batch")}
+def run(learner, rollout, count, hyper):
+    assert rollout["none"].shape == (2, 0) and rollout["none"].dtype == jnp.int32
+    moved = rollout["x"] + three.sum() + learner + nothing.sum()
+    return learner, rollout | {"x": moved}, {"sum": jax.lax.psum(moved.sum(), AXIS)}
 
 mesh = device_mesh(0)
 common, own = shardings(mesh)
 first, run = shard(mesh, first, run)
 begin = jax.jit(first, out_shardings=own).lower(jax.random.PRNGKey(0))
-batch = begin.compile()(jax.random.PRNGKey(0))
-go = jax.jit(run, out_shardings=(common, own, common)).lower(jnp.float32(1), batch, 1, 1.0)
-_, after, totals = go.compile()(jnp.float32(1), batch, 1, 1.0)
+rollout = begin.compile()(jax.random.PRNGKey(0))
+go = jax.jit(run, out_shardings=(common, own, common)).lower(jnp.float32(1), rollout, 1, 1.0)
+_, after, totals = go.compile()(jnp.float32(1), rollout, 1, 1.0)
 print(json.dumps({
-    "empty": str(batch["none"]), "moved": (after["x"] - batch["x"]).tolist(),
-    "apart": float(abs(batch["x"][0] - batch["x"][1]).min()),
+    "empty": str(rollout["none"]), "moved": (after["x"] - rollout["x"]).tolist(),
+    "apart": float(abs(rollout["x"][0] - rollout["x"][1]).min()),
     "sum": float(totals["sum"]), "is": float(after["x"].sum()), "text": begin.as_text() + go.as_text()}))
 """
 
@@ -121,7 +122,7 @@ for devices in (1, 2):
         "success": result.last("success"), "steps": result.env_steps,
         "episodes": sum(row["episodes"] for row in result.curve),
         "used": result.config.devices,
-        "to_host": len(jax.tree.leaves(result.learner)[0].devices()),
+        "devices": len(jax.tree.leaves(result.learner)[0].devices()),
     }
 with tempfile.TemporaryDirectory() as folder:
     short = dataclasses.replace(config, save_dir=folder, num_env_steps=640 * 8)
@@ -156,7 +157,7 @@ def kept(*arguments):
 coop.train = kept
 status = coop.main(words, lambda *_: FakePairEnv())
 result = made[0]
-weights = sum(float(abs(x).sum()) for x in jax.tree.leaves(result.learner.members["human"].params))
+weights = sum(float(abs(x).sum()) for x in jax.tree.leaves(result.learner.agents["human"].params))
 print(json.dumps({{"status": status, "hosts": jax.process_count(), "devices": jax.device_count(),
     "returns": [row["return"] for row in result.curve], "weights": weights, "steps": result.env_steps,
     "writes": result.folder is not None}}))
@@ -196,7 +197,7 @@ def test_training_on_two_devices_is_as_good_as_on_one():
     found = last_line(piped(TRAINING, env=TWO))
     assert found["devices"] == 2 and found["ppo"] == 2
     one, two = found["on 1"], found["on 2"]
-    assert (one["used"], two["used"]) == (1, 2) and two["to_host"] == 1
+    assert (one["used"], two["used"]) == (1, 2) and two["devices"] == 1
     assert one["success"] > 0.9 and two["success"] > 0.9
     assert one["steps"] == two["steps"] == 94 * 640
     assert abs(one["episodes"] - two["episodes"]) <= 32

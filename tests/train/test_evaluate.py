@@ -17,10 +17,8 @@ from train import enjoy, evaluate
 from train.configs import PPOConfig
 from train.errors import ConfigError
 from train.evaluate import Evaluator
-from train.evaluation.alone import evaluate_alone
 from train.evaluation.score import wilson_interval
-from train.learning.algorithm import policy_of
-from train.learning.ppo import architecture, init_learner
+from train.learning.agents import Agents
 
 INFO = {"env": "FakeReach-v0", "layout": "fake-1", "commit": None, "versions": {}}
 
@@ -30,9 +28,9 @@ def make_policy(distribution="normal", seed=0, head_gain=1.0):
     config = PPOConfig(
         distribution=distribution, policy_hidden=(8,), value_hidden=(8,), policy_head_gain=head_gain
     )
-    arch = architecture(config, 4, 2)
-    learner = jax.jit(lambda key: init_learner(config, arch, key))(jax.random.PRNGKey(seed))
-    return policy_of(learner, arch, INFO)
+    agents = Agents(config, FakeEnv(), ("robot",))
+    learner = jax.jit(agents.init)(jax.random.PRNGKey(seed))
+    return agents.policies(learner, INFO)["robot"]
 
 
 @pytest.fixture(scope="module")
@@ -61,14 +59,14 @@ def test_wilson_interval_of_nothing():
     assert wilson_interval(0, 0) == (0.0, 1.0)
 
 
-def test_an_evaluation_agrees_with_stepping_one_world_after_another():
+def test_an_evaluation_agrees_with_stepping_one_environment_after_another():
     env = FakeEnv()
     key = jax.random.PRNGKey(3)
     found = evaluate.evaluate(env, "zero", 3, key)
     key_reset, _ = jax.random.split(key)
     reset, step = jax.jit(env.reset), jax.jit(env.step)
-    for i, world in enumerate(jax.random.split(key_reset, 3)):
-        state = reset(world)
+    for i, key_one in enumerate(jax.random.split(key_reset, 3)):
+        state = reset(key_one)
         total = force = 0.0
         for _ in range(20):
             state = step(state, jnp.zeros(2))
@@ -81,9 +79,10 @@ def test_an_evaluation_agrees_with_stepping_one_world_after_another():
         assert found.successes[i] == bool(state.metrics["success"])
 
 
-def test_one_world_after_another_finds_what_it_should(policy):
+def test_native_episodes_run_one_after_another_each_from_its_own_key(policy):
     env = FakeEnv()
-    found = evaluate_alone(env, policy, 3, jax.random.PRNGKey(5))
+    env.impl = "native"  # what cannot be batched is evaluated so
+    found = Evaluator(env, 3)(policy, jax.random.PRNGKey(5))
     for i, key in enumerate(jax.random.split(jax.random.PRNGKey(5), 3)):
         state, total = env.reset(jax.random.split(key)[0]), 0.0
         for _ in range(env.episode_length):
@@ -92,9 +91,7 @@ def test_one_world_after_another_finds_what_it_should(policy):
         assert np.isclose(found.returns[i], total, rtol=1e-4)
         assert found.successes[i] == (state.metrics["success"] > 0.5)
     assert found.episodes == 3 and found.env == env.name and not found.nan.any()
-    native = dataclasses.replace(env)
-    native.impl = "native"  # what cannot be batched is evaluated so
-    again = evaluate.evaluate(native, policy, 3, jax.random.PRNGKey(5))
+    again = evaluate.evaluate(env, policy, 3, jax.random.PRNGKey(5))
     np.testing.assert_array_equal(again.returns, found.returns)
 
 
@@ -103,7 +100,7 @@ def test_no_episodes_are_refused(policy):
         evaluate.evaluate(FakeEnv(), policy, 0)
 
 
-def test_only_the_first_episode_of_a_world_counts_and_nan_is_seen():
+def test_only_the_first_episode_of_an_environment_counts_and_nan_is_seen():
     found = evaluate.evaluate(FakeEnv(nan_at=4), baseline_policy("random", 2), 5, 0)
     assert found.nan.all() and found.summary()["nan_episodes"] == 5
     assert not found.successes.any() and found.returns.min() > -4 * 3

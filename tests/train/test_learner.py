@@ -1,5 +1,5 @@
 # ruff: noqa: D103 (a test's name says what it shows)
-"""Advantages, truncation and the loss, against closed forms."""
+"""PPO of one agent: advantages, truncation and the loss, against closed forms."""
 
 from __future__ import annotations
 
@@ -13,14 +13,22 @@ from brax.training.agents.ppo.losses import compute_gae as brax_gae
 
 from agym_jax.policy.networks import make_networks, sample_action
 from train.configs import PPOConfig
-from train.learning.advantage import compute_gae, values_of
-from train.learning.ppo import LOSSES, architecture, init_learner, learn, ppo_loss
+from train.learning.ppo import (
+    LOSSES,
+    Hyper,
+    architecture,
+    compute_gae,
+    init_agent,
+    learn,
+    ppo_loss,
+    values_of,
+)
 from train.learning.rollout import Batch
 
 GAMMA, LAMBDA = 0.9, 0.8
 
 
-def make_batch(obs, reward, done, truncation, final_observation):
+def make_batch(obs, reward, done, truncation, final_critic_obs):
     """A batch of one-dimensional observations."""
     arrays = [jnp.asarray(x, jnp.float32) for x in (reward, done, truncation)]
     reward, done, truncation = arrays
@@ -32,7 +40,8 @@ def make_batch(obs, reward, done, truncation, final_observation):
         discounted=jnp.zeros_like(reward),
         done=done,
         truncation=truncation,
-        final_observation=jnp.asarray(final_observation, jnp.float32)[..., None],
+        final_critic_obs=jnp.asarray(final_critic_obs, jnp.float32)[..., None],
+        critic_obs=None,
     )
 
 
@@ -40,7 +49,7 @@ def advantages_of(batch, last_obs, value=lambda obs: obs[..., 0]):
     """Advantages with a value function that reads the observation."""
     last = jnp.asarray(last_obs, jnp.float32)[..., None]
     values, next_values = values_of(value, batch, last)
-    return compute_gae(batch.reward, values, next_values, batch.done, GAMMA, LAMBDA)
+    return compute_gae(batch.reward, values, next_values, batch.done, GAMMA, GAMMA * LAMBDA)
 
 
 def test_a_truncation_bootstraps_with_the_value_of_the_true_last_observation():
@@ -51,7 +60,7 @@ def test_a_truncation_bootstraps_with_the_value_of_the_true_last_observation():
         reward=[[0.5, 0], [0.25, 0], [1, 2]],
         done=[[0, 0], [1, 0], [0, 0]],
         truncation=[[0, 0], [1, 0], [0, 0]],
-        final_observation=[[-99, -99], [7, -99], [-99, -99]],
+        final_critic_obs=[[-99, -99], [7, -99], [-99, -99]],
     )
     advantages = advantages_of(batch, [10, 20])
     a1 = 0.25 + GAMMA * 7 - 2
@@ -98,13 +107,13 @@ def test_the_first_loss_of_an_update_has_ratio_one(distribution):
     config = PPOConfig(distribution=distribution, policy_hidden=(8,), value_hidden=(8,))
     arch = architecture(config, 3, 2)
     networks = make_networks(arch)
-    learner = jax.jit(lambda key: init_learner(config, arch, key))(jax.random.PRNGKey(0))
+    agent, _ = jax.jit(lambda key: init_agent(arch, key))(jax.random.PRNGKey(0))
     obs = jax.random.normal(jax.random.PRNGKey(1), (16, 3))
     action, raw, log_prob = sample_action(
-        networks, learner.normalizer, learner.params.policy, obs, jax.random.PRNGKey(2)
+        networks, agent.normalizer, agent.params.policy, obs, jax.random.PRNGKey(2)
     )
     assert float(jnp.max(jnp.abs(action))) <= 1.0
-    value = networks.value_network.apply(learner.normalizer, learner.params.value, obs)
+    value = networks.value_network.apply(agent.normalizer, agent.params.value, obs)
     advantage = jnp.linspace(-1.0, 2.0, 16)
     data = {
         "obs": obs,
@@ -114,8 +123,9 @@ def test_the_first_loss_of_an_update_has_ratio_one(distribution):
         "value": value,
         "target": value + 3.0,
     }
+    hyper = Hyper.of(config, 800)
     loss, scalars = ppo_loss(
-        learner.params, learner.normalizer, data, jax.random.PRNGKey(3), config, networks, 0.0
+        agent.params, agent.normalizer, data, jax.random.PRNGKey(3), hyper, networks, 0.0, True
     )
     assert set(scalars) == set(LOSSES)
     np.testing.assert_allclose(scalars["policy_loss"], -0.5, atol=1e-5)
@@ -124,12 +134,11 @@ def test_the_first_loss_of_an_update_has_ratio_one(distribution):
     np.testing.assert_allclose(loss, -0.5 + 0.5 * 4.5, rtol=1e-4)
 
 
-def test_a_new_learner_has_strong_types_so_that_a_restored_one_needs_no_new_compilation():
+def test_a_new_agent_has_strong_types_so_that_a_restored_one_needs_no_new_compilation():
     config = PPOConfig(policy_hidden=(8,), value_hidden=(8,))
-    learner = jax.jit(lambda key: init_learner(config, architecture(config, 3, 2), key))(
-        jax.random.PRNGKey(0)
-    )
-    assert not any(leaf.weak_type for leaf in jax.tree.leaves(learner))
+    arch = architecture(config, 3, 2)
+    agent, _ = jax.jit(lambda key: init_agent(arch, key))(jax.random.PRNGKey(0))
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(agent))
 
 
 def test_the_entropy_bonus_fades_where_it_is_asked_to():
@@ -140,11 +149,11 @@ def test_the_entropy_bonus_fades_where_it_is_asked_to():
         config = PPOConfig(policy_hidden=(8,), value_hidden=(8,), num_mini_batch=1, ppo_epoch=2,
                            distribution="normal", use_linear_lr_decay=False, **settings)  # fmt: skip
         arch = architecture(config, 1, 1)
-        learner = init_learner(config, arch, jax.random.PRNGKey(1))
-        learner = dataclasses.replace(learner, env_steps=jnp.uint32(step))
-        learner, _ = learn(learner, batch, batch.obs[-1], jax.random.PRNGKey(2), config,
-                           make_networks(arch), jnp.float32(100))  # fmt: skip
-        return jax.tree.leaves(learner.params)
+        agent, _ = init_agent(arch, jax.random.PRNGKey(1))
+        agent = dataclasses.replace(agent, env_steps=jnp.uint32(step))
+        agent, _ = learn(agent, batch, batch.obs[-1], jax.random.PRNGKey(2), Hyper.of(config, 100),
+                         config, make_networks(arch))  # fmt: skip
+        return jax.tree.leaves(agent.params)
 
     def same(a, b):
         return all(np.allclose(x, y, atol=1e-7) for x, y in zip(a, b, strict=True))

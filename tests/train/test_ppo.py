@@ -10,6 +10,7 @@ import jax
 import numpy as np
 import pytest
 from fake_env import FakeEnv
+from fake_pair_env import FakePairEnv
 from train_runs import check_continued, check_restored, kill_in_training, listening
 
 from agym_jax.errors import BufferOverflowError, SaveFolderError
@@ -17,7 +18,7 @@ from agym_jax.policy import load_policy
 from train.configs import PPOConfig
 from train.errors import ActiveHumanError, CheckpointMismatchError, DivergedError
 from train.evaluate import Evaluator
-from train.learning.algorithm import OneLearner
+from train.learning.agents import Agents
 from train.ppo import main, train
 from train.runs.checkpoint import checkpoint_files, load_newest
 from train.runs.curve import check_row, make_row
@@ -127,8 +128,8 @@ def test_fresh_moves_the_old_run_aside(tmp_path):
 
 def test_a_restored_learner_learns_on_exactly_as_one_that_was_never_saved(tmp_path):
     env = FakeEnv()
-    restored = check_restored(env, SMALL, OneLearner(SMALL, env), tmp_path)
-    moments = jax.tree.leaves(restored.optimizer)
+    restored = check_restored(env, SMALL, Agents(SMALL, env, ("robot",)), tmp_path)
+    moments = jax.tree.leaves(restored.agents["robot"].optimizer)
     assert len(moments) > 8 and any(np.abs(np.asarray(m)).max() > 0 for m in moments)
 
 
@@ -171,12 +172,14 @@ def test_lost_contacts_stop_the_run():
         train(FakeEnv(overflow=1.0), SMALL)
 
 
-def test_worlds_that_go_nan_are_counted_and_training_goes_on():
+def test_environments_that_go_nan_are_counted_and_training_goes_on():
     config = dataclasses.replace(SMALL, num_env_steps=800, stagger=False)
     result = train(FakeEnv(nan_at=5), config)
     assert result.nan_steps == 800 / 5
     assert "160 environment steps went NaN" in summary(result)
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result.learner.params))
+    assert all(
+        np.isfinite(leaf).all() for leaf in jax.tree.leaves(result.learner.agents["robot"].params)
+    )
 
 
 def test_a_loss_that_is_not_finite_stops_the_run():
@@ -197,9 +200,9 @@ def test_a_loss_that_is_not_finite_stops_the_run():
 
 
 def test_an_active_human_is_refused_with_the_reason():
-    env = FakeEnv(name="ScratchItchJacoHuman-v0", action_sizes={"robot": 2, "human": 1})
+    env = FakePairEnv(task_name="ScratchItchJaco")
     text = (
-        r"robot \(2 actions\) and person \(1 actions\).*read the person's observation.*train.coop"
+        r"robot \(1 actions\) and human \(1 actions\).*read the person's observation.*agym-jax coop"
         r".*ScratchItchJaco-v0.*--allow-joint-observation"
     )
     with pytest.raises(ActiveHumanError, match=text):

@@ -15,7 +15,7 @@ from train.configs import PPOConfig
 from train.demo import main as demo
 from train.errors import ConfigError
 from train.evaluate import Evaluator
-from train.learning.stepwise import StepwiseEnv, evaluate_stepwise
+from train.learning.execution import StepwiseEnv
 from train.ppo import train
 
 CONFIG = PPOConfig(
@@ -51,7 +51,7 @@ def test_evaluation_is_the_same_either_way(stepwise):
     env, venv = stepwise
     seen = []
     key, policy = jax.random.PRNGKey(3), baseline_policy("random", 2)
-    ours = evaluate_stepwise(venv, policy, key, seen.append)
+    ours = Evaluator(venv, 16)(policy, key, watch=seen.append)
     theirs = Evaluator(env, 16)(policy, key)
     np.testing.assert_allclose(ours.returns, theirs.returns, rtol=1e-4)
     np.testing.assert_array_equal(ours.successes, theirs.successes)

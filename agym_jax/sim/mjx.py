@@ -17,8 +17,8 @@ from agym_jax.compat import mjx_quat, mjx_trace
 from agym_jax.compat.mjx_print import mjx
 from agym_jax.compat.warp_kernels import compile_kernels, wait_for_kernels
 from agym_jax.compat.warp_streams import hold_streams
-from agym_jax.sense import Motion
 from agym_jax.math3d import rotation_matrix
+from agym_jax.sense import Motion
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import model_fields, start_qpos
 from agym_jax.sim.scene import Scene

@@ -284,6 +284,47 @@ def training(folder: Path = RESULTS) -> str:
     return table(lines, columns, itemgetter("env", "impl", "seed"))
 
 
+TRAINERS = {"brax": "Brax PPO", "same": "`train.ppo`, same settings", "shipped": "`train.ppo`"}
+
+
+def brax_ppo(folder: Path = RESULTS) -> str:
+    """Brax's PPO beside ours: success over steps and over seconds."""
+
+    def at(share: float) -> Callable[[Line], str]:
+        def cell(x: Line) -> str:
+            wanted, curve = share * x["steps"], x["curve"]
+            near = min(
+                range(len(curve["success"])), key=lambda i: abs(curve["env_steps"][i] - wanted)
+            )
+            return f"{curve['success'][near]:.0%}"
+
+        return cell
+
+    def enough(x: Line) -> str:
+        reached = x["steps_to_90"] is not None
+        return (
+            f"{x['steps_to_90'] / 1e6:.1f} M, {x['seconds_to_90']:.0f} s"
+            if reached
+            else "not reached"
+        )
+
+    columns = {
+        "environment": lambda x: x["env"],
+        "trainer": lambda x: TRAINERS[x["trainer"]],
+        "steps": lambda x: f"{x['steps'] / 1e6:.1f} M",
+        **{f"success at {share:.0%}": at(share) for share in (0.25, 0.5, 0.75, 1.0)},
+        "90 % after": enough,
+        "steps/s": lambda x: f"{x['steps_per_s']:,}",
+        "compiling": lambda x: f"{x['compile_s']:.0f} s",
+        "NaN": lambda x: x["nan"],
+    }
+    lines = read_results("brax_ppo", ("env", "trainer"), folder)
+    order = list(TRAINERS)
+    note = "Mode of the policy, {} episodes each; seconds of training, without compiling and evaluating;"
+    note = note.format(several(x["episodes"] for x in lines)) if lines else ""
+    return table(lines, columns, lambda x: (x["env"], order.index(x["trainer"])), note)
+
+
 TABLES: dict[str, Callable[..., str]] = {
     "success": success,
     "speed": speed,
@@ -294,6 +335,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "together": together,
     "seeds": seeds,
     "training-speed": training_speed,
+    "brax-ppo": brax_ppo,
     "resume": resume,
     "nan": nan,
     "reach": reach,

@@ -44,6 +44,7 @@ from agym_jax.human.posture import (
     load_postures,
     save_postures,
 )
+from agym_jax.offline.posture_report import compare
 
 LINKS, ALL, ARM = tuple(body.LINK), tuple(body.JOINTS), body.RIGHT_ARM
 ARM_LINKS = ("right_girdle", "right_upper_arm", "right_forearm", "right_hand")
@@ -293,8 +294,6 @@ def _build(name: str, seed: int, each: int) -> None:
 
 def main(argv: Sequence[str] | None = None, prog: str = "agym-jax postures") -> int:
     """The command line; returns the exit status."""
-    from agym_jax.offline.posture_report import compare  # reads SCENARIOS of this module
-
     parser = argparse.ArgumentParser(
         prog=prog, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from agym_jax.human import body
 from agym_jax.human.posture import Postures, link_positions
-from agym_jax.offline.bed_postures import ALL, ARM, LINKS
+
+LINKS, ALL, ARM = tuple(body.LINK), tuple(body.JOINTS), body.RIGHT_ARM
 
 AG = {
     "BedBathing": {

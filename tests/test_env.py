@@ -88,7 +88,7 @@ def test_actions_of_another_shape_are_refused(static_env, active_env):
         ActionError, match=r"ScratchItchJaco-v0 takes .*\(7,\) \(7 robot\), got \(6,\)"
     ):
         static_env.step(None, np.zeros(6))
-    with pytest.raises(ActionError, match=r"\(17,\) \(7 robot \+ 10 person\), got \(7,\)"):
+    with pytest.raises(ActionError, match=r"\(17,\) \(7 robot \+ 10 human\), got \(7,\)"):
         active_env.step(None, np.zeros(7))
     with pytest.raises(ActionError, match=r"got \(4, 7\).*vectorize"):
         static_env.step(None, np.zeros((4, 7)))
@@ -129,7 +129,7 @@ def test_one_trace_serves_every_state(batch: CompiledBatch, rollout: Rollout):
 
 
 @jit
-def test_worlds_of_a_batch_are_different_people_targets_and_starts(rollout: Rollout):
+def test_environments_of_a_batch_have_different_people_targets_and_starts(rollout: Rollout):
     first = rollout.first
     human = first.episode.human
     assert set(np.asarray(human.sex)) == {0.0, 1.0}
@@ -237,7 +237,7 @@ def test_episodes_end_after_200_steps_and_not_before(batch: CompiledBatch, rollo
 
 
 @jit
-def test_all_of_a_finished_world_starts_anew_and_the_others_go_on(
+def test_a_finished_environment_starts_anew_and_the_others_go_on(
     batch: CompiledBatch, rollout: Rollout
 ):
     over = np.arange(BATCH) % 2 == 0
@@ -300,7 +300,9 @@ def test_people_change_from_episode_to_episode(batch: CompiledBatch, rollout: Ro
 
 
 @jit
-def test_world_that_breaks_ends_its_episode_and_recovers(batch: CompiledBatch, rollout: Rollout):
+def test_an_environment_that_breaks_ends_its_episode_and_recovers(
+    batch: CompiledBatch, rollout: Rollout
+):
     sick, action = 3, rollout.actions[0]
     healthy = np.arange(BATCH) != sick
     data = rollout.first.data

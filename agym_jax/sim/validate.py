@@ -27,7 +27,7 @@ def check_task(task: Task) -> None:
         SpecError: a field is empty, a text instead of a tuple, or of another length than it should be.
         AgymError: what ``Prepared.prepare`` of the task raises.
     """
-    human, owner = task.human, f"{task.name}'s PersonSpec"
+    human, owner = task.human, f"{task.name}'s HumanSpec"
     _check_tuple(f"{task.name}'s arms", task.arms)
     _check_tuple(f"{task.name}'s goals", task.goals)
     if len(task.goals) != len(task.arms):
@@ -44,7 +44,7 @@ def check_task(task: Task) -> None:
     _check_tuple(f"{owner}.impairments", human.impairments, 'A healthy person is ("none",).')
     _check_names(f"{owner}.impairments", "impairment", human.impairments, population.IMPAIRMENTS)
     _check_names(
-        f"{owner}.passive_mode", "way to be still", (human.passive_mode,), get_args(PassiveMode)
+        f"{owner}.passive_mode", "passive mode", (human.passive_mode,), get_args(PassiveMode)
     )
     _check_names(f"{owner}.arm", "side", (human.arm,), ("left", "right"))
     if isinstance(task, Prepared):

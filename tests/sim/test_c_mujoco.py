@@ -168,7 +168,7 @@ def _child(code: str, folder: Path) -> str:
 
 
 @pytest.mark.jit
-def test_one_world_on_a_cpu_steps_without_importing_mjx(tmp_path: Path):
+def test_one_environment_on_a_cpu_steps_without_importing_mjx(tmp_path: Path):
     code = f"""
 import sys, gymnasium, agym_jax
 env = gymnasium.make("{STATIC}")
@@ -180,7 +180,7 @@ print(obs.shape, sorted(m for m in sys.modules if m.split(".")[0] in ("brax", "w
 
 
 @pytest.mark.jit
-def test_a_world_that_breaks_ends_quietly_and_leaves_nothing_behind(
+def test_an_environment_that_breaks_ends_quietly_and_leaves_nothing_behind(
     native: agym_jax.Env, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
 ):
     monkeypatch.chdir(tmp_path)  # where MuJoCo would write its log
@@ -228,7 +228,7 @@ def test_restart_begins_the_next_episode_or_does_nothing(native: agym_jax.Env):
 
 
 @pytest.mark.jit
-def test_enjoy_plays_one_world_on_it(native: agym_jax.Env):
+def test_enjoy_plays_one_environment_on_it(native: agym_jax.Env):
     assert enjoy.EnjoyConfig().impl == "native"
     player = enjoy.Player(native, baseline_policy("random", native.action_size))
     frames = list(itertools.islice(player.episode(7), 4))
@@ -252,7 +252,7 @@ def test_tracing_it_is_refused_with_what_to_do(native: agym_jax.Env):
         jax.jit(native.step)(state, jnp.zeros(7))
 
 
-def test_auto_is_native_for_one_world_on_a_cpu_only():
+def test_auto_is_native_for_one_environment_on_a_cpu_only():
     alone, many = choose_impl("auto", single_env=True), choose_impl("auto")
     assert many in ("jax", "warp")
     assert alone == ("native" if jax.default_backend() == "cpu" else many)

@@ -221,12 +221,12 @@ def test_pressing_on_an_arm_is_c_mujocos(batch: CompiledBatch):
 def test_sense_reads_c_mujocos_data_as_it_reads_mjxs(batch: CompiledBatch):
     env, index = batch.env, batch.env.scene.index
     state = batch.reset(jax.random.PRNGKey(0))
-    world = one(state, 0)
-    shadow = _Shadow(env.env, world.episode)
-    shadow.data.qpos[:], shadow.data.qvel[:] = np.asarray(world.data.qpos), 0.1
+    first = one(state, 0)
+    shadow = _Shadow(env.env, first.episode)
+    shadow.data.qpos[:], shadow.data.qvel[:] = np.asarray(first.data.qpos), 0.1
     mujoco.mj_kinematics(shadow.model, shadow.data)
-    dims = world.episode.human.dims
-    data = world.data.replace(qvel=jnp.full_like(world.data.qvel, 0.1))
+    dims = first.episode.human.dims
+    data = first.data.replace(qvel=jnp.full_like(first.data.qvel, 0.1))
     sizes = shadow.model.geom_size
     mine, theirs = (
         sense(index, d, no_contacts(index), motion_at_rest(index, d, 1), dims, sizes)

@@ -85,33 +85,33 @@ def changed(robot: RobotSpec, old: str, new: str) -> RobotSpec:
     [
         (
             {"joints": ("neck_x", "head_xx")},
-            r"joint in Reaching's PersonSpec\.joints: 'head_xx'\. Did you mean 'head_x'\?",
+            r"joint in Reaching's HumanSpec\.joints: 'head_xx'\. Did you mean 'head_x'\?",
         ),
         (
             {"pose": {"r_elbo_x": -1.0}},
-            r"joint in Reaching's PersonSpec\.pose: 'r_elbo_x'\. Did you mean 'r_elbow_x'\?",
+            r"joint in Reaching's HumanSpec\.pose: 'r_elbo_x'\. Did you mean 'r_elbow_x'\?",
         ),
         (
             {"pose_range": {"Head_Z": 0.5}},
-            r"joint in Reaching's PersonSpec\.pose_range: 'Head_Z'\. Did you mean 'head_z'\?",
+            r"joint in Reaching's HumanSpec\.pose_range: 'Head_Z'\. Did you mean 'head_z'\?",
         ),
         (
-            {"still": "weld"},
-            r"way to be still in Reaching's PersonSpec\.still: 'weld'\. Did you mean 'welded'\?.*limp",
+            {"passive_mode": "weld"},
+            r"passive mode in Reaching's HumanSpec\.passive_mode: 'weld'\. Did you mean 'welded'\?.*limp",
         ),
         (
             {"limbs": ("hed", "chest")},
-            r"link in Reaching's PersonSpec\.limbs: 'hed'\. Did you mean 'head'\?",
+            r"link in Reaching's HumanSpec\.limbs: 'hed'\. Did you mean 'head'\?",
         ),
         (
             {"limbs": ("mouth",)},
-            r"link in Reaching's PersonSpec\.limbs: 'mouth'",
+            r"link in Reaching's HumanSpec\.limbs: 'mouth'",
         ),
         (
             {"impairments": ("none", "limit")},
-            r"impairment in Reaching's PersonSpec\.impairments: 'limit'\. Did you mean 'limits'\?",
+            r"impairment in Reaching's HumanSpec\.impairments: 'limit'\. Did you mean 'limits'\?",
         ),
-        ({"arm": "rigth"}, r"side in Reaching's PersonSpec\.arm: 'rigth'\. Did you mean 'right'\?"),
+        ({"arm": "rigth"}, r"side in Reaching's HumanSpec\.arm: 'rigth'\. Did you mean 'right'\?"),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("active", [False, True])

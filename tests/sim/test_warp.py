@@ -42,7 +42,7 @@ def test_warp_and_jax_give_the_same_trajectory():
     assert not overflow.any()
 
 
-def test_each_world_of_warp_touches_its_own_person():
+def test_each_environment_of_warp_touches_its_own_person():
     """Limbs that no joint moves: MuJoCo Warp places them once for all environments if it is let."""
     batch = vectorize(agym_jax.make("BedBathingJaco-v0", impl="warp"), N)
     env, index = batch.env, batch.env.scene.index

@@ -211,5 +211,5 @@ def test_what_cannot_be_simulated_well_is_refused_when_it_is_asked_for(task: str
     with pytest.raises(MatterError, match="need a vessel, got None"):
         replace(whole, **{field: replace(spec, vessel=None)})
     slow = replace(whole.control, time_step=0.1, frame_skip=1)
-    with pytest.raises(MatterError, match=r"up to [\d.]+ m/s it cannot. Use substeps=\d+"):
+    with pytest.raises(MatterError, match=r"the limit is [\d.]+ m/s\. Use substeps=\d+"):
         replace(whole, control=slow)

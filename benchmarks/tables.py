@@ -288,7 +288,7 @@ TRAINERS = {"brax": "Brax PPO", "same": "`train.ppo`, same settings", "shipped":
 
 
 def brax_ppo(folder: Path = RESULTS) -> str:
-    """Brax's PPO beside ours: success over steps and over seconds."""
+    """Brax's PPO and ``train.ppo``: success over steps and over time."""
 
     def at(share: float) -> Callable[[Line], str]:
         def cell(x: Line) -> str:
@@ -315,12 +315,12 @@ def brax_ppo(folder: Path = RESULTS) -> str:
         **{f"success at {share:.0%}": at(share) for share in (0.25, 0.5, 0.75, 1.0)},
         "90 % after": enough,
         "steps/s": lambda x: f"{x['steps_per_s']:,}",
-        "compiling": lambda x: f"{x['compile_s']:.0f} s",
+        "compile time": lambda x: f"{x['compile_s']:.0f} s",
         "NaN": lambda x: x["nan"],
     }
     lines = read_results("brax_ppo", ("env", "trainer"), folder)
     order = list(TRAINERS)
-    note = "Mode of the policy, {} episodes each; seconds of training, without compiling and evaluating;"
+    note = "Deterministic policy (mode), {} episodes each; training time without compilation and evaluation;"
     note = note.format(several(x["episodes"] for x in lines)) if lines else ""
     return table(lines, columns, lambda x: (x["env"], order.index(x["trainer"])), note)
 

@@ -10,10 +10,8 @@ a variant of the broad phase, which are still compiled when they are first launc
 from __future__ import annotations
 
 import contextlib
-import functools
 import math
 import os
-import queue
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -28,11 +26,7 @@ Build = tuple[Any, int]  # a module of kernels, and threads in a block
 BLOCK = 256  # Warp's default of the latter on a GPU
 
 
-BESIDE_TRACING = 2
-"""Threads while JAX traces: they generate code in Python first, and take turns with the tracing thread."""
-
-_queue: queue.SimpleQueue[Callable[[], Any]] = queue.SimpleQueue()
-_workers: list[Future[None]] = []
+_pending: list[Future[Any]] = []
 _in_background = False
 
 
@@ -55,37 +49,15 @@ def compile_kernels(model: mujoco.MjModel, rows: int, contacts: int, warn_overfl
     device = warp.device_from_jax(jax.local_devices()[0])
     with warp.ScopedDevice(device):
         builds = launched(model, rows, contacts, warn_overflow)
-    for module, block in builds:
-        _queue.put(functools.partial(module.load, device, block))
-    _work(BESIDE_TRACING)
-
-
-def _work(threads: int) -> None:
-    """Let some more threads build what is in the queue."""
-    pool = ThreadPoolExecutor(threads)
-    _workers.extend(pool.submit(_build_all) for _ in range(threads))
+    pool = ThreadPoolExecutor(os.cpu_count())
+    _pending.extend(pool.submit(module.load, device, block) for module, block in builds)
     pool.shutdown(wait=False)
-
-
-def _build_all() -> None:
-    with contextlib.suppress(queue.Empty):
-        while True:
-            _queue.get_nowait()()
-
-
-def hurry_kernels() -> None:
-    """Build on all cores from now on: JAX has traced its programs, and XLA compiles outside of Python's lock."""
-    if not _queue.empty():
-        _work(max(1, (os.cpu_count() or 1) - BESIDE_TRACING))
 
 
 def wait_for_kernels() -> None:
     """Return when all kernels that were begun are loaded; at once within ``kernels_in_background``."""
-    if _in_background:
-        return
-    hurry_kernels()
-    while _workers:
-        _workers.pop().result()
+    while _pending and not _in_background:
+        _pending.pop().result()
 
 
 @contextlib.contextmanager

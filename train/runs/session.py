@@ -19,7 +19,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-from agym_jax.compat.warp_kernels import hurry_kernels, kernels_in_background
+from agym_jax.compat.warp_kernels import kernels_in_background
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
 
@@ -200,7 +200,6 @@ def _lower_and_compile(
     )
     update = jax.jit(run, out_shardings=(common, own, common))
     update = update.lower(learner, rollout, np.int32(1), Hyper.of(config, 1))
-    hurry_kernels()
     options = GPU_OPTIONS if jax.default_backend() == "gpu" else None
     return compile_together(update, reset, options=options)
 

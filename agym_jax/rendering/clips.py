@@ -1,7 +1,6 @@
-"""Films (.gif, .mp4) and contact sheets (.png) from pictures.
+"""Videos (.gif, .mp4) and contact sheets (.png) from frames.
 
-What can fail, fails before anything is encoded: a wrong suffix, an unwritable folder, a package
-that is missing.
+A wrong suffix, an unwritable folder or a missing package is reported before anything is encoded.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ class OutputPathError(AgymError, OSError):
 
 
 class FrameError(AgymError, ValueError):
-    """Frames that are none, or are not uint8 pictures of one size."""
+    """No frames, or frames that are not uint8 images of one size."""
 
 
 def _check_frames(frames: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The frames as a list, or FrameError."""
+    """The frames as a list; raises FrameError."""
     frames = [np.asarray(frame) for frame in frames]
     if not frames:
         raise FrameError("No frames to write.")
@@ -47,7 +46,7 @@ def _check_frames(frames: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def _check_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
-    """A path that can be written, its folder made, or OutputPathError."""
+    """The path, whose folder is created if needed; raises OutputPathError if it cannot be written."""
     path = Path(path)
     if path.suffix.lower() not in suffixes:
         near = did_you_mean(path.suffix.lower(), suffixes)
@@ -74,21 +73,21 @@ def _import_extra(module: str, advice: str) -> Any:
 
 
 def write_clip(frames: Sequence[np.ndarray], path: str | os.PathLike[str], fps: float = 10) -> Path:
-    """Write a film.
+    """Write a video.
 
     Args:
-        frames: pictures, uint8 (height, width, 3), all of one size.
-        path: ends in .mp4 (needs imageio-ffmpeg) or .gif (needs pillow). The folder is made. An
+        frames: images, uint8 (height, width, 3), all of one size.
+        path: ends in .mp4 (needs imageio-ffmpeg) or .gif (needs pillow). The folder is created. An
             mp4 of odd width or height gets one more column or row.
-        fps: frames a second [1/s]; a .gif keeps time in hundredths of a second, and stores a run
+        fps: frames per second [1/s]; a .gif has a time resolution of 10 ms, and stores a run
             of equal frames as one long frame.
 
     Returns:
         The path.
 
     Raises:
-        OutputPathError: unknown suffix or unwritable folder, before anything is encoded.
-        MissingExtraError: the package that this suffix needs is missing.
+        OutputPathError: unknown suffix or unwritable folder.
+        MissingExtraError: the package that this suffix needs is not installed.
         FrameError: no frames, or not of one size.
     """
     path = _check_path(path, (".gif", ".mp4"))
@@ -98,12 +97,12 @@ def write_clip(frames: Sequence[np.ndarray], path: str | os.PathLike[str], fps: 
         return path
     ffmpeg = _import_extra("imageio_ffmpeg", "Write a .gif instead, or: ")
     height, width, _ = frames[0].shape
-    pad = ((0, height % 2), (0, width % 2), (0, 0))  # yuv420p halves both
+    pad = ((0, height % 2), (0, width % 2), (0, 0))  # yuv420p needs even sizes
     writer = ffmpeg.write_frames(
         str(path), (width + width % 2, height + height % 2), fps=fps, quality=8, macro_block_size=2
     )
     with warnings.catch_warnings():
-        # JAX warns of forks among its threads, but this one turns into ffmpeg at once.
+        # JAX warns about forks in a process with threads, but this one is replaced by ffmpeg immediately.
         warnings.filterwarnings("ignore", r"os\.fork", RuntimeWarning)
         writer.send(None)
     with contextlib.closing(writer):
@@ -113,10 +112,10 @@ def write_clip(frames: Sequence[np.ndarray], path: str | os.PathLike[str], fps: 
 
 
 def _write_gif(frames: list[np.ndarray], path: Path, fps: float) -> None:
-    """One palette for all frames and no dithering, so that what does not move costs nothing.
+    """Write a .gif with one palette for all frames and no dithering, so that static pixels compress well.
 
-    The palette is cut from the root of each colour's frequency; otherwise the shades of a large
-    floor would take every entry, and a small red target would turn brown.
+    Colours are weighted by the square root of their frequency; otherwise the shades of a large
+    floor would take all entries of the palette, and a small red target would turn brown.
     """
     image = _import_extra("PIL.Image", "")
     picks = frames[:: max(1, math.ceil(len(frames) / 12))]
@@ -142,14 +141,14 @@ def contact_sheet(
     every: int | None = None,
     labels: Sequence[str] | None = None,
 ) -> Path:
-    """Write a grid of captioned frames, to look at an episode at once.
+    """Write a grid of captioned frames: an overview of an episode.
 
     Args:
-        frames: pictures, uint8 (height, width, 3), all of one size.
+        frames: images, uint8 (height, width, 3), all of one size.
         path: ends in .png.
-        columns: pictures in a row.
-        every: take every so many frames; None takes at most four rows of them.
-        labels: a caption for each of ``frames``; None numbers them.
+        columns: frames per row.
+        every: stride between frames; None chooses it so that there are at most four rows.
+        labels: captions of ``frames``; None numbers them.
 
     Returns:
         The path.

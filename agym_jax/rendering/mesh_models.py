@@ -1,8 +1,8 @@
-"""Where the meshes of another package's model belong on a robot of ours.
+"""Poses of the meshes of another package's model on the links of a robot of this package.
 
 Poses follow from the kinematics of both models with all joints at zero, so that frames may differ,
-fixed links may be fused, and only names are shared. A link that turns about another axis than ours,
-or where ours does not turn, is refused.
+fixed links may be fused, and only names are shared. A link whose joint axis differs, or that moves where the
+robot's link does not, is refused.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from agym_jax.errors import MeshError, did_you_mean
 from agym_jax.spec import MeshModel, MeshPart, Pose, Rgba, RobotSpec
 
 READABLE = (".stl", ".obj", ".msh")  # what MuJoCo reads
-FIRST_UNSEEN = 3  # geom group: ``render`` draws those below
+FIRST_HIDDEN_GROUP = 3  # ``Renderer`` draws the geom groups below
 MAX_GAP, MAX_TURN = 0.002, np.radians(0.5)  # between joints of both models [m], [rad]
-GREY = (0.5, 0.5, 0.5, 1.0)  # a geom's colour in MuJoCo that leaves it to the material
+GREY = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of a geom, which the material replaces
 
 Numbers = tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A mesh file and how MuJoCo is to read it."""
+    """A mesh file, and how MuJoCo reads it."""
 
     file: str  # absolute
     scale: Numbers = (1.0, 1.0, 1.0)
@@ -37,8 +37,8 @@ class Mesh:
 
 
 @dataclass(frozen=True)
-class Paint:
-    """What a surface looks like."""
+class Material:
+    """Colour and reflectance of a surface."""
 
     rgba: Rgba
     specular: float = 0.5
@@ -46,17 +46,17 @@ class Paint:
 
 
 @dataclass(frozen=True)
-class Shape:
-    """A painted mesh on one of the robot's links."""
+class MeshShape:
+    """A mesh with its material on one of the robot's links."""
 
     link: str
     pose: Pose  # in the link's frame
-    paint: Paint
+    material: Material
     mesh: Mesh
 
 
 def readable(file: str, source: MeshModel | MeshPart) -> str:
-    """The file, or an error if MuJoCo cannot read such meshes, or if it is not there."""
+    """The file; raises MeshError if it does not exist or MuJoCo cannot read its format."""
     if Path(file).suffix.lower() not in READABLE:
         raise MeshError(f"{source.package}: MuJoCo cannot read {file}, only {', '.join(READABLE)}.")
     if not Path(file).is_file():
@@ -64,8 +64,8 @@ def readable(file: str, source: MeshModel | MeshPart) -> str:
     return file
 
 
-class Still:
-    """A model with all joints at zero, or at given angles: where its links, joints and geoms are."""
+class PosedModel:
+    """A model with all joints at zero, or at given angles: poses of its links, joints and geoms."""
 
     def __init__(self, spec: mujoco.MjSpec, angles: Mapping[str, float] | None = None):
         spec.compiler.boundmass = spec.compiler.boundinertia = 1e-6
@@ -80,10 +80,10 @@ class Still:
         self.links = {self.model.body(i).name: i for i in range(1, self.model.nbody)}
 
     def check_link(self, robot: RobotSpec, link: str, file: str) -> None:
-        """Raise MeshError if the robot, whose model this is, has no such link to wear a file's meshes."""
+        """Raise MeshError if the robot, whose model this is, has no such link."""
         if link not in self.links:
             near = did_you_mean(link, self.links)
-            raise MeshError(f"{robot.name} has no link {link!r} to wear {file}. {near}")
+            raise MeshError(f"{robot.name} has no link {link!r}, which {file} needs. {near}")
 
     def link(self, name: str) -> np.ndarray:
         """A link's pose in the world, (4, 4)."""
@@ -95,7 +95,7 @@ class Still:
         return _matrix(self.data.geom_xpos[i], self.data.geom_xmat[i])
 
     def joints(self, link: str) -> Iterator[int]:
-        """Numbers of the joints that move a link against its parent."""
+        """Ids of the joints between a link and its parent."""
         first = self.model.body_jntadr[self.links[link]]
         yield from range(first, first + self.model.body_jntnum[self.links[link]])
 
@@ -114,20 +114,20 @@ def _pose(matrix: np.ndarray) -> Pose:
     return Pose((x, y, z), (w, i, j, k))
 
 
-def worn_by(robot: RobotSpec, source: MeshModel, file: Path, ours: Still) -> list[Shape]:
-    """What the links of another package's model wear, on ours."""
+def shapes_of(robot: RobotSpec, source: MeshModel, file: Path, ours: PosedModel) -> list[MeshShape]:
+    """Meshes of another package's model, on the links of the robot."""
     spec = _parse(source, file)
     seen = [geom for geom in spec.geoms if _is_visual(geom)]
-    visuals = [_look(spec, geom, file, source) for geom in seen]
+    visuals = [_material_and_mesh(spec, geom, file, source) for geom in seen]
     for geom in list(spec.geoms):
         if geom not in seen:
             spec.delete(geom)
-        else:  # a dot in its place: no mesh has to be read to know where it is
+        else:  # a sphere in its place, so that no mesh has to be read to compute its pose
             geom.type, geom.meshname, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, "", (1, 0, 0)
     for mesh in list(spec.meshes):
         spec.delete(mesh)
     try:
-        theirs = Still(spec, source.angles)
+        theirs = PosedModel(spec, source.angles)
     except (ValueError, KeyError) as error:
         raise MeshError(f"{source.package}: {source.file} cannot be used: {error}") from error
     there, here = source.root
@@ -138,18 +138,18 @@ def worn_by(robot: RobotSpec, source: MeshModel, file: Path, ours: Still) -> lis
     onto = ours.link(here) @ np.linalg.inv(theirs.link(there))
     _check_joints(robot, source, ours, theirs, onto)
     alias = {name: name for name in ours.links} | {there: here}
-    worn = []
-    for geom, (paint, mesh) in zip(seen, visuals, strict=True):
-        link = _wearer(source, theirs, theirs.model.geom_bodyid[geom.id], alias, robot)
+    shapes = []
+    for geom, (material, mesh) in zip(seen, visuals, strict=True):
+        link = _target_link(source, theirs, theirs.model.geom_bodyid[geom.id], alias, robot)
         pose = _pose(np.linalg.inv(ours.link(link)) @ onto @ theirs.geom(geom.id))
-        worn.append(Shape(link, pose, paint, mesh))
-    return worn
+        shapes.append(MeshShape(link, pose, material, mesh))
+    return shapes
 
 
-def _wearer(
-    source: MeshModel, theirs: Still, body: int, alias: dict[str, str], robot: RobotSpec
+def _target_link(
+    source: MeshModel, theirs: PosedModel, body: int, alias: dict[str, str], robot: RobotSpec
 ) -> str:
-    """Our link nearest to a body of another model on its way to the root, without a joint between them."""
+    """The robot's link to which a body of another model is fixed: the nearest one towards the root."""
     model, start = theirs.model, theirs.model.body(body).name
     where = f"{source.package}: {source.file} does not fit {robot.name}: its link {start!r}"
     while body:
@@ -159,10 +159,10 @@ def _wearer(
         moved = [model.joint(i).name for i in theirs.joints(name)]
         if not set(moved) <= set(source.angles):
             raise MeshError(
-                f"{where} moves by {', '.join(moved)}, which {robot.name} lacks; MeshModel.angles can hold it still."
+                f"{where} moves by {', '.join(moved)}, which {robot.name} lacks; fix it with MeshModel.angles."
             )
         body = model.body_parentid[body]
-    raise MeshError(f"{where} hangs on no link of {robot.name}.")
+    raise MeshError(f"{where} is fixed to no link of {robot.name}.")
 
 
 def _parse(source: MeshModel, file: Path) -> mujoco.MjSpec:
@@ -175,7 +175,7 @@ def _parse(source: MeshModel, file: Path) -> mujoco.MjSpec:
 
 
 def _urdf(source: MeshModel, file: Path) -> str:
-    """A URDF that MuJoCo reads with its visual shapes, and with paths for ``package://``."""
+    """URDF text that MuJoCo reads with its visual shapes, ``package://`` replaced by paths."""
     root = ElementTree.parse(file).getroot()
     options = {"strippath": "false", "discardvisual": "false", "fusestatic": "false"}
     ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", options)
@@ -189,17 +189,17 @@ def _urdf(source: MeshModel, file: Path) -> str:
 
 
 def _is_visual(geom: mujoco.MjsGeom) -> bool:
-    """Whether a geom is a mesh that is seen and not felt: primitives that are seen mark frames."""
-    seen = geom.type == mujoco.mjtGeom.mjGEOM_MESH and geom.group < FIRST_UNSEEN
-    return bool(seen and not geom.contype and not geom.conaffinity)
+    """Whether a geom is a visual mesh. Visual primitives only mark frames."""
+    visible = geom.type == mujoco.mjtGeom.mjGEOM_MESH and geom.group < FIRST_HIDDEN_GROUP
+    return bool(visible and not geom.contype and not geom.conaffinity)
 
 
-def _look(
+def _material_and_mesh(
     spec: mujoco.MjSpec, geom: mujoco.MjsGeom, file: Path, source: MeshModel
-) -> tuple[Paint, Mesh]:
-    """A geom's paint and mesh."""
+) -> tuple[Material, Mesh]:
+    """Material and mesh of a geom."""
     rgba = _colour(geom.rgba)
-    specular, shininess = Paint.specular, Paint.shininess
+    specular, shininess = Material.specular, Material.shininess
     material = spec.material(geom.material) if geom.material else None
     if material is not None:
         rgba = rgba if rgba != GREY else _colour(material.rgba)
@@ -207,26 +207,26 @@ def _look(
     mesh = spec.mesh(geom.meshname)
     path = readable(str(file.parent / spec.meshdir / mesh.file), source)
     placed = (tuple(x.tolist()) for x in (mesh.scale, mesh.refpos, mesh.refquat))
-    return Paint(source.colours.get(rgba, rgba), specular, shininess), Mesh(path, *placed)
+    return Material(source.colours.get(rgba, rgba), specular, shininess), Mesh(path, *placed)
 
 
 def _colour(rgba: np.ndarray) -> Rgba:
-    """As written in a file: MuJoCo keeps it in float32."""
+    """Colour as written in a file: MuJoCo keeps it in float32."""
     r, g, b, a = rgba.astype(float).round(4).tolist()
     return r, g, b, a
 
 
 def _check_joints(
-    robot: RobotSpec, source: MeshModel, ours: Still, theirs: Still, onto: np.ndarray
+    robot: RobotSpec, source: MeshModel, ours: PosedModel, theirs: PosedModel, onto: np.ndarray
 ) -> None:
-    """Whether every link that both models have moves about the same axis in both.
+    """Check that every link of both models moves about the same axis in both.
 
     Args:
-        robot: ours.
-        source: the other one.
-        ours: our model.
-        theirs: the other one.
-        onto: from its world to ours, (4, 4).
+        robot: the robot.
+        source: of the other model.
+        ours: model of the robot.
+        theirs: the other model.
+        onto: transformation from its world to the robot's, (4, 4).
     """
     for link in (name for name in ours.links if name in theirs.links and name not in source.root):
         here, there = list(ours.joints(link)), list(theirs.joints(link))

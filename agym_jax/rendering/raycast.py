@@ -1,6 +1,6 @@
-"""What rays meet: ``mj_multiRay`` with bounds that hold, and spheres that are not in the model.
+"""Ray casting: ``mj_multiRay`` with correct bounds, plus spheres and surfaces that are not in the model.
 
-Geometry only: ``agym_jax.rendering.shading`` gives it colours and makes the picture.
+Geometry only: ``agym_jax.rendering.shading`` computes colours and the image.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import mujoco
 import numpy as np
 
 OPAQUE, CLEAR, HIDDEN = 0, 1, 5  # geom groups given to a private copy of the model
-INVISIBLE_ALPHA = 0.1  # what is no more opaque than this is not drawn
-OPAQUE_ALPHA = 0.99  # what is no more opaque than this lets light through
+INVISIBLE_ALPHA = 0.1  # anything with at most this alpha is not drawn
+OPAQUE_ALPHA = 0.99  # anything with at most this alpha is translucent
 FAR = 1e6  # m
-CLUSTER = 24  # triangles that follow each other lie together
+CLUSTER = 24  # triangles tested together: consecutive ones are close to each other
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class Marker:
 
 @dataclass(frozen=True)
 class RayScene:
-    """One instant, ready to be shot at with rays. A row is a geom of the model, then a marker, then a surface.
+    """Geometry at one instant. Its rows are the geoms of the model, then the markers, then the surfaces.
 
     Args:
-        model: private copy; bounds are current and geom groups say opaque, clear or hidden.
+        model: private copy; bounds are current, and geom groups mean opaque, clear or hidden.
         data: the caller's state.
         alpha: opacity of each row, (n,) in 0..1.
         centers: marker centres, (k, 3) [m].
@@ -57,15 +57,15 @@ class RayScene:
 
 @dataclass(frozen=True)
 class Hits:
-    """What the rays met.
+    """First intersections of rays.
 
     Args:
-        what: row of ``RayScene``, -1 where nothing was met, (n,).
-        dist: distance along the ray, FAR where nothing was met, (n,) [m].
+        row: row of ``RayScene``, -1 for no hit, (n,).
+        dist: distance along the ray, ``FAR`` for no hit, (n,) [m].
         normal: unit normal facing the ray's origin, (n, 3).
     """
 
-    what: np.ndarray
+    row: np.ndarray
     dist: np.ndarray
     normal: np.ndarray
 
@@ -76,12 +76,12 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
 
 
 def half_extents(geom_type: np.ndarray, size: np.ndarray, stored: np.ndarray) -> np.ndarray:
-    """Half sides of geoms' boxes, from their present sizes and not from the compiler's.
+    """Half sizes of geoms' bounding boxes, from their current sizes instead of the compiled ones.
 
     Args:
         geom_type: mjtGeom, (n,).
         size: geom_size, (n, 3) [m].
-        stored: half sides that the compiler found, kept for meshes and the like, (n, 3) [m].
+        stored: half sizes from the compiler, kept for meshes and other types, (n, 3) [m].
 
     Returns:
         (n, 3) [m].
@@ -99,11 +99,11 @@ def half_extents(geom_type: np.ndarray, size: np.ndarray, stored: np.ndarray) ->
 
 
 def refresh_bounds(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Make ``mj_multiRay``'s culling bounds hold for the sizes now in ``model``.
+    """Recompute the culling bounds of ``mj_multiRay`` from the sizes in ``model``.
 
-    The compiler's bounds are stale once ``geom_size`` was written. Besides, ``mj_multiRay`` adds
+    The compiled bounds are stale once ``geom_size`` was written. In addition, ``mj_multiRay`` adds
     a body's box centre, which is in the body's frame, to a world position without rotating it,
-    and so drops some rays near turned bodies. A sphere about the body's centre of mass cures both.
+    and so misses some rays near rotated bodies. A bounding sphere about the body's centre of mass avoids both.
 
     Args:
         model: private copy, written: geom_aabb, geom_rbound, bvh_aabb.
@@ -116,19 +116,19 @@ def refresh_bounds(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     radius = np.linalg.norm(np.abs(model.geom_aabb[:, :3]) + half, axis=1)
     model.geom_rbound[:] = radius
     owner = model.geom_bodyid
-    reach = np.zeros(model.nbody)
+    extent = np.zeros(model.nbody)
     offset = np.linalg.norm(data.geom_xpos - data.xipos[owner], axis=1)
-    np.maximum.at(reach, owner, offset + radius)
+    np.maximum.at(extent, owner, offset + radius)
     root = model.body_bvhadr
     has = root >= 0
     model.bvh_aabb[root[has], :3] = 0.0
-    model.bvh_aabb[root[has], 3:] = reach[has, None]
+    model.bvh_aabb[root[has], 3:] = extent[has, None]
 
 
 def build_ray_scene(
     model: mujoco.MjModel, data: mujoco.MjData, alpha: np.ndarray, markers: Sequence[Marker]
 ) -> RayScene:
-    """Collect what the rays need; nothing of the model's geometry is kept between calls.
+    """Build the scene of one instant; nothing is kept between calls.
 
     Args:
         model: the caller's model, not written.
@@ -137,7 +137,7 @@ def build_ray_scene(
         markers: extra spheres.
 
     Returns:
-        The scene of this instant.
+        The scene.
     """
     private = copy.copy(model)
     private.geom_group[:] = np.where(alpha > OPAQUE_ALPHA, OPAQUE, CLEAR)
@@ -150,7 +150,7 @@ def build_ray_scene(
 
 
 def surface_triangles(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, ...]:
-    """Corners of the triangles of each flexible surface, where they are now, each (t, 3, 3) [m]."""
+    """Corners of the triangles of each flexible surface, world, each (t, 3, 3) [m]."""
     found = []
     for i in range(model.nflex):
         start, count = model.flex_elemdataadr[i], model.flex_elemnum[i]
@@ -159,18 +159,18 @@ def surface_triangles(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.nd
     return tuple(found)
 
 
-def meet_triangles(
+def intersect_triangles(
     corners: np.ndarray, origin: np.ndarray, rays: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """First triangle on each ray, from either side.
+    """First intersection of each ray with triangles, from either side.
 
     Args:
         corners: (t, 3, 3) [m].
-        origin: where all rays begin, (3,) [m].
+        origin: of all rays, (3,) [m].
         rays: unit directions, (n, 3).
 
     Returns:
-        distance, FAR where nothing was met (n,) [m], and unit normal (n, 3).
+        distance, ``FAR`` for no hit (n,) [m], and unit normal (n, 3).
     """
     dist, normal = np.full(len(rays), FAR), np.zeros((len(rays), 3))
     for some in np.array_split(corners - origin, 1 + len(corners) // CLUSTER):
@@ -195,25 +195,25 @@ def meet_triangles(
 
 
 def trace(scene: RayScene, origin: np.ndarray, rays: np.ndarray, clear: bool) -> Hits:
-    """First thing on each ray.
+    """First intersection of each ray.
 
     Args:
-        scene: what to shoot at.
-        origin: where all rays begin, (3,) [m].
+        scene: the geometry.
+        origin: of all rays, (3,) [m].
         rays: unit directions, (n, 3).
-        clear: whether translucent things count.
+        clear: whether translucent geometry counts.
 
     Returns:
         The hits.
     """
     n = len(rays)
-    what, dist, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
+    hit, dist, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
     groups = np.array([1, clear, 0, 0, 0, 0], np.uint8)
     mujoco.mj_multiRay(
         scene.model, scene.data, origin, np.ascontiguousarray(rays).ravel(), groups, True, -1,
-        what, dist, normal.reshape(-1), n, FAR,
+        hit, dist, normal.reshape(-1), n, FAR,
     )  # fmt: skip
-    dist[what < 0] = FAR
+    dist[hit < 0] = FAR
     unseen = INVISIBLE_ALPHA if clear else OPAQUE_ALPHA
     first = scene.model.ngeom
     for row, (center, radius) in enumerate(zip(scene.centers, scene.radii, strict=True), first):
@@ -224,33 +224,33 @@ def trace(scene: RayScene, origin: np.ndarray, rays: np.ndarray, clear: bool) ->
         inside = radius**2 - to @ to + along**2
         near = np.where(inside > 0, along - np.sqrt(np.maximum(inside, 0)), -1.0)
         closer = (near > 0) & (near < dist)
-        what[closer], dist[closer] = row, near[closer]
+        hit[closer], dist[closer] = row, near[closer]
         normal[closer] = (rays[closer] * near[closer, None] - to) / radius
     for row, corners in enumerate(scene.surfaces, first + len(scene.radii)):
         if scene.alpha[row] <= unseen:
             continue
-        near, facing = meet_triangles(corners, origin, rays)
+        near, facing = intersect_triangles(corners, origin, rays)
         closer = near < dist
-        what[closer], dist[closer], normal[closer] = row, near[closer], facing[closer]
+        hit[closer], dist[closer], normal[closer] = row, near[closer], facing[closer]
     away = np.einsum("ij,ij->i", normal, rays) > 0
     normal[away] *= -1
-    return Hits(what, dist, normal)
+    return Hits(hit, dist, normal)
 
 
-def aim(
+def camera_rays(
     view: mujoco.MjvScene, x: np.ndarray, y: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Eye and rays of MuJoCo's camera.
+    """Position and rays of MuJoCo's camera.
 
     Args:
-        view: updated scene; its two eyes are averaged.
+        view: updated scene; its two cameras (stereo eyes) are averaged.
         x: pixel columns, (n,); 0.5 is the centre of the first.
         y: pixel rows from the top, (n,).
-        width: picture width in pixels.
-        height: picture height in pixels.
+        width: image width in pixels.
+        height: image height in pixels.
 
     Returns:
-        eye (3,) [m] and unit directions (n, 3).
+        position of the eye (3,) [m] and unit directions (n, 3).
     """
     left, right = view.camera[0], view.camera[1]
     eye = (np.asarray(left.pos, dtype=float) + right.pos) / 2

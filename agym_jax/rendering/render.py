@@ -1,8 +1,8 @@
-"""Pictures of a scene, with OpenGL where there is one and without it where not.
+"""Images of a scene, by OpenGL where it is available and by a built-in ray caster otherwise.
 
 ``Renderer`` opens its own OpenGL context (EGL, then OSMesa, then GLFW) instead of leaving that
-to ``import mujoco``, which reads ``MUJOCO_GL`` once and too early for anyone to change it.
-Where none opens, it says which system package is missing and casts rays instead.
+to ``import mujoco``, which reads ``MUJOCO_GL`` only once, on import.
+If none opens, it warns which system package is missing and uses the ray caster.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ __all__ = [
 ]
 
 BACKENDS = ("auto", "gl", "raycast")
-OFF = ("disable", "disabled", "off", "false", "0")  # values of MUJOCO_GL that forbid OpenGL
+OFF = ("disable", "disabled", "off", "false", "0")  # values of MUJOCO_GL that disable OpenGL
 INSTALL_GL = (
     "on Debian or Ubuntu: apt-get install libegl1 libopengl0 libgl1-mesa-dri "
-    "(or libosmesa6 where EGL cannot be had)"
+    "(or libosmesa6 where EGL is not available)"
 )
 
 
@@ -46,14 +46,14 @@ class UnknownCameraError(UnknownNameError):
 
 
 class RenderBackendError(AgymError, RuntimeError):
-    """A way to draw that does not exist or cannot run here."""
+    """A rendering backend that does not exist, or is not available on this machine."""
 
 
 class RenderFallbackWarning(UserWarning):
-    """OpenGL could not be opened, so the ray caster draws."""
+    """OpenGL is not available, so the ray caster is used."""
 
 
-class _Pictures(Protocol):
+class _Backend(Protocol):
     def draw(
         self, data: mujoco.MjData, view: mujoco.MjvScene, markers: Sequence[Marker]
     ) -> np.ndarray: ...
@@ -62,14 +62,14 @@ class _Pictures(Protocol):
 
 
 class _Process:
-    """What is true of the whole process, not of one renderer."""
+    """State of the process, shared by all renderers."""
 
     gl_failed: str | None = None  # MuJoCo aborts the process when it loads OpenGL a second time
     warned = False
 
 
 def _gl_libraries() -> tuple[str, ...]:
-    """Names under ``mujoco`` of the context makers to try, best first."""
+    """Names of the modules of ``mujoco`` that open a context, in the order in which they are tried."""
     asked = os.environ.get("MUJOCO_GL", "").lower().strip()
     if asked in OFF:
         return ()
@@ -85,9 +85,9 @@ def _gl_libraries() -> tuple[str, ...]:
 
 
 def _probe_egl() -> None:
-    """Raise where EGL has no device, without loading it for all to see.
+    """Raise if EGL has no device, without loading EGL globally.
 
-    Once PyOpenGL has loaded EGL globally, MuJoCo asks EGL for its functions, and OSMesa is lost.
+    Once PyOpenGL has loaded EGL globally, MuJoCo takes its functions from EGL, and OSMesa can no longer be used.
     """
     egl = ctypes.CDLL("libEGL.so.1")
     egl.eglGetProcAddress.restype = ctypes.c_void_p
@@ -101,15 +101,15 @@ def _probe_egl() -> None:
 
 
 def _open_library(name: str, width: int, height: int) -> Any:
-    """A current OpenGL context of one library, or an exception and no trace of the attempt.
+    """Open an OpenGL context of one library and make it current; a failed attempt is undone.
 
     ``mujoco.egl`` and ``mujoco.osmesa`` each tell PyOpenGL which library to use when it is first
-    imported, so a failed attempt must be forgotten before the next one can succeed.
+    imported, so a failed attempt has to be undone before the next one can succeed.
     """
     before = set(sys.modules)
     platform_before = os.environ.get("PYOPENGL_PLATFORM")
 
-    def forget() -> None:
+    def undo() -> None:
         for module in set(sys.modules) - before:
             if module.split(".")[0] == "OpenGL" or module.startswith(f"mujoco.{name}"):
                 del sys.modules[module]
@@ -117,24 +117,24 @@ def _open_library(name: str, width: int, height: int) -> Any:
             os.environ.pop("PYOPENGL_PLATFORM", None)
 
     with contextlib.ExitStack() as on_failure:
-        on_failure.callback(forget)
+        on_failure.callback(undo)
         if name == "egl":
             _probe_egl()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
             if not getattr(context, "_context", True):
-                raise RuntimeError("it gave no context")
+                raise RuntimeError("it returned no context")
             context.make_current()
-        on_failure.pop_all()  # it works: nothing to forget
+        on_failure.pop_all()  # it works: nothing to undo
     return context
 
 
 def _open_context(width: int, height: int) -> tuple[Any, str]:
-    """The first OpenGL context that opens, and its library's name.
+    """The first OpenGL context that opens, and the name of its library.
 
     Raises:
-        RenderBackendError: none opened; says why for each.
+        RenderBackendError: none opened; the message has the reason for each.
     """
     if _Process.gl_failed:
         raise RenderBackendError(_Process.gl_failed)
@@ -143,13 +143,15 @@ def _open_context(width: int, height: int) -> tuple[Any, str]:
         try:
             return _open_library(name, width, height), name
         except Exception as error:  # each library fails in its own way
-            missing = isinstance(error, (AttributeError, ctypes.ArgumentError))  # PyOpenGL's way
+            missing = isinstance(
+                error, (AttributeError, ctypes.ArgumentError)
+            )  # raised by PyOpenGL
             said = "a library it needs is missing" if missing else str(error) or repr(error)
             reasons.append(f"{name}: {said.strip().splitlines()[0][:90]}")
-    raise RenderBackendError("; ".join(reasons) or "MUJOCO_GL forbids it")
+    raise RenderBackendError("; ".join(reasons) or "MUJOCO_GL disables it")
 
 
-class _GLPictures:
+class _GLBackend:
     """OpenGL through MuJoCo's classic renderer."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int):
@@ -184,15 +186,15 @@ class _GLPictures:
         return out[::-1].copy()
 
     def close(self) -> None:
-        with contextlib.suppress(Exception):  # at exit the library may be gone already
+        with contextlib.suppress(Exception):  # at exit the library may be unloaded already
             self._gl.make_current()
             self._context.free()
             self._gl.free()
-        self._gl._context = None  # else MuJoCo tries again when the interpreter has gone half
+        self._gl._context = None  # else MuJoCo frees it again during interpreter shutdown
 
 
-class _RaycastPictures:
-    """``agym_jax.rendering.shading``."""
+class _RaycastBackend:
+    """The ray caster of ``agym_jax.rendering.shading``."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int):
         self._model, self._size = model, (width, height)
@@ -200,24 +202,26 @@ class _RaycastPictures:
     def draw(
         self, data: mujoco.MjData, view: mujoco.MjvScene, markers: Sequence[Marker]
     ) -> np.ndarray:
-        stage = shading.set_stage(self._model, data, view, markers)
-        return shading.draw(stage, *self._size)
+        scene = shading.build_shaded_scene(self._model, data, view, markers)
+        return shading.draw(scene, *self._size)
 
     def close(self) -> None:
-        """Nothing to free."""
+        """The ray caster holds no resources."""
 
 
-def _pick(model: mujoco.MjModel, width: int, height: int, asked: str) -> tuple[str, _Pictures]:
-    """The backend's name and the backend; warns once a process when "auto" cannot have OpenGL."""
+def _open_backend(
+    model: mujoco.MjModel, width: int, height: int, asked: str
+) -> tuple[str, _Backend]:
+    """Name of the backend and the backend; warns once per process if "auto" cannot use OpenGL."""
     asked = os.environ.get("AGYM_JAX_RENDER", "").lower().strip() or asked
     if asked not in BACKENDS:
         near = did_you_mean(asked, BACKENDS)
         raise RenderBackendError(f"Unknown backend {asked!r} (argument or AGYM_JAX_RENDER). {near}")
     if asked != "raycast":
         try:
-            return "gl", _GLPictures(model, width, height)
+            return "gl", _GLBackend(model, width, height)
         except RenderBackendError as error:
-            why = f"OpenGL could not be opened ({error})"
+            why = f"OpenGL is not available ({error})"
             if asked == "gl":
                 raise RenderBackendError(
                     f"{why}; {INSTALL_GL}. Or use backend='raycast', which needs no library."
@@ -225,31 +229,31 @@ def _pick(model: mujoco.MjModel, width: int, height: int, asked: str) -> tuple[s
         if not _Process.warned:
             _Process.warned = True
             warnings.warn(
-                f"{why}, so the built-in ray caster draws: the same scene, but slower and without "
+                f"{why}, so the built-in ray caster is used: the same scene, but slower and without "
                 f"reflections, textured objects and smooth meshes. For those, {INSTALL_GL}. "
-                "AGYM_JAX_RENDER=raycast silences this.",
+                "AGYM_JAX_RENDER=raycast silences this warning.",
                 RenderFallbackWarning,
                 stacklevel=3,
             )
-    return "raycast", _RaycastPictures(model, width, height)
+    return "raycast", _RaycastBackend(model, width, height)
 
 
 class Renderer:
-    """Draws states of one model from one camera; a context manager.
+    """Renders states of one model from one camera; a context manager.
 
     Visual geoms (groups 0 to 2) are drawn; collision geoms (group 3 and up) and sites are not.
 
     Args:
-        model: an ordinary MjModel; sizes and colours may be written between pictures.
-        width: picture width in pixels.
-        height: picture height in pixels.
-        camera: a camera's name or number; -1 is MuJoCo's free camera, which sees everything.
-        backend: "gl", "raycast", or "auto" for OpenGL if it opens and rays if not. The
+        model: an MjModel; sizes and colours may be written between images.
+        width: image width in pixels.
+        height: image height in pixels.
+        camera: name or id of a camera; -1 is MuJoCo's free camera, which shows the whole scene.
+        backend: "gl", "raycast", or "auto" for OpenGL if it is available and the ray caster if not. The
             environment variable AGYM_JAX_RENDER overrides this.
 
     Raises:
         UnknownCameraError: the model has no such camera.
-        RenderBackendError: no such backend, or "gl" was asked for and cannot be had.
+        RenderBackendError: unknown backend, or "gl" is not available.
     """
 
     def __init__(
@@ -265,34 +269,34 @@ class Renderer:
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0
         self._view: mujoco.MjvScene | None = None
-        self._room = 0
-        self.backend, self._pictures = _pick(model, width, height, backend)
-        self._free = weakref.finalize(self, self._pictures.close)
+        self._max_markers = 0
+        self.backend, self._backend = _open_backend(model, width, height, backend)
+        self._free = weakref.finalize(self, self._backend.close)
 
     def render(self, data: mujoco.MjData, markers: Sequence[Marker] = ()) -> np.ndarray:
-        """One picture.
+        """Render an image.
 
         Args:
             data: a state with current kinematics (after ``mj_forward`` or ``mj_kinematics`` and
                 ``mj_camlight``).
-            markers: extra spheres, drawn this once.
+            markers: extra spheres in this image.
 
         Returns:
             uint8, (height, width, 3).
         """
         if not self._free.alive:
-            raise RenderBackendError("This Renderer was closed; make a new one.")
-        if self._view is None or len(markers) > self._room:
-            self._room = max(64, 2 * len(markers))
-            self._view = mujoco.MjvScene(self._model, self._model.ngeom + 500 + self._room)
+            raise RenderBackendError("This Renderer was closed; create a new one.")
+        if self._view is None or len(markers) > self._max_markers:
+            self._max_markers = max(64, 2 * len(markers))
+            self._view = mujoco.MjvScene(self._model, self._model.ngeom + 500 + self._max_markers)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(
             self._model, data, self._option, None, self._camera, everything, self._view
         )
-        return self._pictures.draw(data, self._view, markers)
+        return self._backend.draw(data, self._view, markers)
 
     def close(self) -> None:
-        """Free the OpenGL context; twice is fine."""
+        """Free the OpenGL context. May be called more than once."""
         self._free()
 
     def __enter__(self) -> Renderer:
@@ -303,7 +307,7 @@ class Renderer:
 
 
 def _find_camera(model: mujoco.MjModel, camera: str | int) -> mujoco.MjvCamera:
-    """MuJoCo's camera of that name or number."""
+    """MuJoCo's camera of a name or id."""
     names = [model.camera(i).name for i in range(model.ncam)]
     if isinstance(camera, str):
         number = names.index(camera) if camera in names else model.ncam
@@ -311,7 +315,7 @@ def _find_camera(model: mujoco.MjModel, camera: str | int) -> mujoco.MjvCamera:
         number = camera
     out = mujoco.MjvCamera()
     if not -1 <= number < model.ncam:
-        advice = "-1 is a free camera that sees everything."
+        advice = "-1 is a free camera that shows the whole scene."
         raise UnknownCameraError("camera", str(camera), [n for n in names if n], advice)
     if number == -1:
         mujoco.mjv_defaultFreeCamera(model, out)

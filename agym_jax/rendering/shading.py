@@ -1,8 +1,8 @@
-"""Pictures without OpenGL: MuJoCo casts the rays, numpy shades what they hit.
+"""Images without OpenGL: MuJoCo casts the rays, NumPy shades the hits.
 
-Colours, lights, camera and what is visible come from ``mjv_updateScene``, which needs no OpenGL,
-so they follow MuJoCo's own rules. Shadow rays are cast from the light, so that they too have one
-origin. Edges are antialiased by casting four more rays through the pixels that differ from a
+Colours, lights, camera and visibility come from ``mjv_updateScene``, which needs no OpenGL,
+so they follow MuJoCo's own rules. Shadow rays are cast from the light, so that they have a common
+origin, too. Edges are antialiased by casting four more rays through the pixels that differ from a
 neighbour.
 """
 
@@ -19,8 +19,8 @@ from agym_jax.rendering.raycast import (
     Hits,
     Marker,
     RayScene,
-    aim,
     build_ray_scene,
+    camera_rays,
     lengths,
     trace,
 )
@@ -32,19 +32,19 @@ CHECKER_CELL, CHECKER_CONTRAST = 0.5, 0.045  # m, part of the floor's brightness
 
 
 @dataclass(frozen=True)
-class Stage:
-    """A scene and how it looks: one row for each geom of the model, then for each marker and each surface.
+class ShadedScene:
+    """A scene with materials and lights. Its rows are the geoms of the model, then the markers, then the surfaces.
 
     Args:
-        scene: the geometry.
-        view: MuJoCo's abstract scene: camera, lights.
+        geometry: what the rays are cast against.
+        view: MuJoCo's abstract scene, for camera and lights.
         rgba: colour, (n, 4) in 0..1.
         gloss: emission, specular, shininess, (n, 3).
-        planes: for each plane drawn: geom, texture or -1, repeats across one metre (2,).
+        planes: of each visible plane: geom, texture or -1, and repetitions per metre (2,).
         sky: colours at the horizon and at the zenith, (2, 3) in 0..1.
     """
 
-    scene: RayScene
+    geometry: RayScene
     view: mujoco.MjvScene
     rgba: np.ndarray
     gloss: np.ndarray
@@ -52,10 +52,10 @@ class Stage:
     sky: np.ndarray
 
 
-def set_stage(
+def build_shaded_scene(
     model: mujoco.MjModel, data: mujoco.MjData, view: mujoco.MjvScene, markers: Sequence[Marker]
-) -> Stage:
-    """Collect what a picture needs.
+) -> ShadedScene:
+    """Build the shaded scene of one instant.
 
     Args:
         model: the caller's model, not written.
@@ -64,7 +64,7 @@ def set_stage(
         markers: extra spheres.
 
     Returns:
-        The stage of this instant.
+        The scene.
     """
     n = model.ngeom + len(markers) + model.nflex
     rgba, gloss, planes = np.zeros((n, 4)), np.tile([0.0, 0.5, 0.5], (n, 1)), []
@@ -78,12 +78,12 @@ def set_stage(
     for row, marker in enumerate(markers, start=model.ngeom):
         rgba[row] = marker.rgba
     rgba[n - model.nflex :] = model.flex_rgba
-    scene = build_ray_scene(model, data, rgba[: model.ngeom, 3], markers)
-    return Stage(scene, view, rgba, gloss, tuple(planes), sky_colors(model))
+    geometry = build_ray_scene(model, data, rgba[: model.ngeom, 3], markers)
+    return ShadedScene(geometry, view, rgba, gloss, tuple(planes), sky_colors(model))
 
 
 def plane_texture(model: mujoco.MjModel, plane: mujoco.MjvGeom) -> tuple[int, np.ndarray]:
-    """A plane's texture, or -1, and how often it repeats across one metre of x and y (2,)."""
+    """A plane's texture, or -1, and its repetitions per metre along x and y (2,)."""
     if plane.matid < 0:
         return -1, np.zeros(2)
     texture = model.mat_texid[plane.matid, mujoco.mjtTextureRole.mjTEXROLE_RGB]
@@ -95,7 +95,7 @@ def plane_texture(model: mujoco.MjModel, plane: mujoco.MjvGeom) -> tuple[int, np
 
 
 def texels(model: mujoco.MjModel, texture: int) -> np.ndarray:
-    """A texture's pixels, rgb, (height, width, 3) uint8; a cube's six sides are stacked."""
+    """A texture's pixels, rgb, (height, width, 3) uint8; the six sides of a cube are stacked."""
     height, width = model.tex_height[texture], model.tex_width[texture]
     channels, start = model.tex_nchannel[texture], model.tex_adr[texture]
     flat = model.tex_data[start : start + height * width * channels]
@@ -103,7 +103,7 @@ def texels(model: mujoco.MjModel, texture: int) -> np.ndarray:
 
 
 def sky_colors(model: mujoco.MjModel) -> np.ndarray:
-    """Horizon and zenith of the model's skybox, or a clear day, (2, 3) in 0..1."""
+    """Colours of the model's skybox at the horizon and at the zenith, or a default, (2, 3) in 0..1."""
     boxes = np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX)
     if not boxes.size:
         return SKY
@@ -116,28 +116,30 @@ def sky_colors(model: mujoco.MjModel) -> np.ndarray:
     return np.stack([sides[4, middle].mean(axis=(0, 1)), sides[2].mean(axis=(0, 1))])
 
 
-def sky(stage: Stage, rays: np.ndarray) -> np.ndarray:
-    """Colour where nothing is met: a gradient from the horizon to the zenith, (n, 3) in 0..1."""
+def sky(scene: ShadedScene, rays: np.ndarray) -> np.ndarray:
+    """Background colour: a gradient from the horizon to the zenith, (n, 3) in 0..1."""
     t = np.clip(rays[:, 2:], 0.0, 1.0) ** 0.6
-    return stage.sky[0] * (1 - t) + stage.sky[1] * t
+    return scene.sky[0] * (1 - t) + scene.sky[1] * t
 
 
-def paint(stage: Stage, what: np.ndarray, points: np.ndarray, dist: np.ndarray) -> np.ndarray:
-    """Base colours of hits; planes get their texture or a faint checker, fading into the distance.
+def base_color(
+    scene: ShadedScene, row: np.ndarray, points: np.ndarray, dist: np.ndarray
+) -> np.ndarray:
+    """Base colours of hits. Planes get their texture or a faint checker pattern that fades with distance.
 
     Args:
-        stage: for looks and poses.
-        what: rows of ``Stage``, (n,).
+        scene: for materials and poses.
+        row: rows of the scene, (n,).
         points: hit points, (n, 3) [m].
         dist: distance from the eye, (n,) [m].
 
     Returns:
         rgb, (n, 3) in 0..1.
     """
-    base = stage.rgba[what, :3]
-    model, data = stage.scene.model, stage.scene.data
-    for geom, texture, repeat in stage.planes:
-        here = np.flatnonzero(what == geom)
+    base = scene.rgba[row, :3]
+    model, data = scene.geometry.model, scene.geometry.data
+    for geom, texture, repeat in scene.planes:
+        here = np.flatnonzero(row == geom)
         local = points[here] - data.geom_xpos[geom]
         local = local @ data.geom_xmat[geom].reshape(3, 3)[:, :2]
         fade = np.exp(-dist[here, None] / 15.0)
@@ -147,18 +149,18 @@ def paint(stage: Stage, what: np.ndarray, points: np.ndarray, dist: np.ndarray) 
             continue
         texture = texels(model, texture) / 255.0
         at = (local * repeat * (1, -1) - 0.5) % 1.0
-        row, column = (at[:, ::-1] * texture.shape[:2]).astype(int).T
-        mean, seen = texture.mean(axis=(0, 1)), texture[row, column]
+        v, u = (at[:, ::-1] * texture.shape[:2]).astype(int).T
+        mean, seen = texture.mean(axis=(0, 1)), texture[v, u]
         base[here] *= mean + (seen - mean) * fade
     return base
 
 
-def lit(scene: RayScene, light: mujoco.MjvLight, points: np.ndarray) -> np.ndarray:
-    """Whether the light reaches the points: rays from the light to each.
+def is_lit(scene: RayScene, light: mujoco.MjvLight, points: np.ndarray) -> np.ndarray:
+    """Whether the light reaches the points, by rays from the light to each.
 
     Args:
-        scene: what may be in the way; translucent things are not.
-        light: where from; a directional light is one far away.
+        scene: the geometry; translucent geometry casts no shadow.
+        light: a directional light is treated as one far away.
         points: (n, 3) [m].
 
     Returns:
@@ -174,30 +176,30 @@ def lit(scene: RayScene, light: mujoco.MjvLight, points: np.ndarray) -> np.ndarr
     return hits.dist > length - 1e-3 * max(1.0, scene.model.stat.extent)
 
 
-def shade(stage: Stage, eye: np.ndarray, rays: np.ndarray, hits: Hits) -> np.ndarray:
+def shade(scene: ShadedScene, eye: np.ndarray, rays: np.ndarray, hits: Hits) -> np.ndarray:
     """Colours of hits by MuJoCo's lighting rules: ambient, Lambert, Blinn-Phong, shadows.
 
     Args:
-        stage: looks and lights.
+        scene: materials and lights.
         eye: origin of the rays, (3,) [m].
         rays: unit directions, (n, 3).
-        hits: what they met.
+        hits: their first intersections.
 
     Returns:
         rgb, (n, 3) in 0..1.
     """
-    out = sky(stage, rays)
-    met = np.flatnonzero(hits.what >= 0)
+    out = sky(scene, rays)
+    met = np.flatnonzero(hits.row >= 0)
     if not met.size:
         return out
-    what, dist, normal, ray = hits.what[met], hits.dist[met], hits.normal[met], rays[met]
+    row, dist, normal, ray = hits.row[met], hits.dist[met], hits.normal[met], rays[met]
     points = eye + ray * dist[:, None]
-    base = paint(stage, what, points, dist)
-    emission, specular, shininess = stage.gloss[what].T
-    # The sky fills shadows from above a little more than the ground does from below.
+    base = base_color(scene, row, points, dist)
+    emission, specular, shininess = scene.gloss[row].T
+    # ambient light: more from the sky than from the ground
     fill = (0.04 * (1 + normal[:, 2]))[:, None]
     color = base * (emission[:, None] + fill)
-    lights = stage.view.lights[: stage.view.nlight]
+    lights = scene.view.lights[: scene.view.nlight]
     for light in lights:
         if light.type == mujoco.mjtLightType.mjLIGHT_IMAGE:
             continue
@@ -217,7 +219,7 @@ def shade(stage: Stage, eye: np.ndarray, rays: np.ndarray, hits: Hits) -> np.nda
         slope = np.einsum("ij,ij->i", normal, to)
         here = np.flatnonzero((slope > 0) & (power > 1e-3))
         if light.castshadow and here.size:
-            here = here[lit(stage.scene, light, points[here])]
+            here = here[is_lit(scene.geometry, light, points[here])]
         half = to[here] - ray[here]
         half /= np.maximum(lengths(half), 1e-9)[:, None]
         glint = np.clip(np.einsum("ij,ij->i", normal[here], half), 0, 1)
@@ -226,41 +228,43 @@ def shade(stage: Stage, eye: np.ndarray, rays: np.ndarray, hits: Hits) -> np.nda
         color[here] += base[here] * (light.diffuse * diffuse) + light.specular * glint[:, None]
     if not lights:
         color += 0.6 * base
-    # Endless floors melt into the horizon.
-    far = (12.0 * max(1.0, stage.scene.model.stat.extent)) ** 2
+    # infinite floors fade into the horizon
+    far = (12.0 * max(1.0, scene.geometry.model.stat.extent)) ** 2
     haze = (1 - np.exp(-(dist**2) / far))[:, None]
-    out[met] = np.clip(color, 0, 1) * (1 - haze) + stage.sky[0] * haze
+    out[met] = np.clip(color, 0, 1) * (1 - haze) + scene.sky[0] * haze
     return out
 
 
-def look(stage: Stage, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Colours seen along rays, through one layer of translucent things.
+def trace_color(
+    scene: ShadedScene, eye: np.ndarray, rays: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Colours along rays, through one layer of translucent geometry.
 
     Args:
-        stage: what to look at.
+        scene: the shaded scene.
         eye: origin of the rays, (3,) [m].
         rays: unit directions, (n, 3).
 
     Returns:
-        rgb (n, 3) in 0..1, and the row of ``Stage`` that each ray met first (n,).
+        rgb (n, 3) in 0..1, and the row that each ray hits first (n,).
     """
-    hits = trace(stage.scene, eye, rays, clear=True)
-    color = shade(stage, eye, rays, hits)
-    alpha = np.where(hits.what >= 0, stage.scene.alpha[hits.what], 1.0)
+    hits = trace(scene.geometry, eye, rays, clear=True)
+    color = shade(scene, eye, rays, hits)
+    alpha = np.where(hits.row >= 0, scene.geometry.alpha[hits.row], 1.0)
     through = np.flatnonzero(alpha <= OPAQUE_ALPHA)
     if through.size:
-        solid = trace(stage.scene, eye, rays[through], clear=False)
-        behind = shade(stage, eye, rays[through], solid)
+        solid = trace(scene.geometry, eye, rays[through], clear=False)
+        behind = shade(scene, eye, rays[through], solid)
         a = alpha[through, None]
         color[through] = a * color[through] + (1 - a) * behind
-    return color, hits.what
+    return color, hits.row
 
 
-def draw(stage: Stage, width: int, height: int) -> np.ndarray:
-    """The picture.
+def draw(scene: ShadedScene, width: int, height: int) -> np.ndarray:
+    """Render the image.
 
     Args:
-        stage: from ``set_stage``.
+        scene: from ``build_shaded_scene``.
         width: pixels.
         height: pixels.
 
@@ -268,13 +272,13 @@ def draw(stage: Stage, width: int, height: int) -> np.ndarray:
         uint8, (height, width, 3).
     """
     y, x = (i.reshape(-1) + 0.5 for i in np.mgrid[:height, :width].astype(float))
-    color, what = look(stage, *aim(stage.view, x, y, width, height))
+    color, row = trace_color(scene, *camera_rays(scene.view, x, y, width, height))
     image = 255 * color.reshape(height, width, 3)
-    what = what.reshape(height, width)
+    row = row.reshape(height, width)
     edge = np.zeros((height, width), bool)
     for axis in (0, 1):
         jump = np.abs(np.diff(image, axis=axis)).max(axis=2) > EDGE
-        jump |= np.diff(what, axis=axis) != 0
+        jump |= np.diff(row, axis=axis) != 0
         before, after = [slice(None)] * 2, [slice(None)] * 2
         before[axis], after[axis] = slice(None, -1), slice(1, None)
         edge[tuple(before)] |= jump
@@ -283,6 +287,6 @@ def draw(stage: Stage, width: int, height: int) -> np.ndarray:
     if again.size:
         xs = np.concatenate([x[again] + dx for dx, _ in ROTATED_GRID])
         ys = np.concatenate([y[again] + dy for _, dy in ROTATED_GRID])
-        finer, _ = look(stage, *aim(stage.view, xs, ys, width, height))
+        finer, _ = trace_color(scene, *camera_rays(scene.view, xs, ys, width, height))
         image.reshape(-1, 3)[again] = 255 * finer.reshape(len(ROTATED_GRID), -1, 3).mean(axis=0)
     return np.clip(image + 0.5, 0, 255).astype(np.uint8)

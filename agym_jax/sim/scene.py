@@ -26,7 +26,7 @@ from agym_jax.errors import UnknownNameError
 from agym_jax.human import anthropometry, body
 from agym_jax.human import pose as human_pose
 from agym_jax.human.model import build as build_human
-from agym_jax.rendering.meshes import VISUALS, dress
+from agym_jax.rendering.meshes import VISUALS, add_meshes
 from agym_jax.sim.contacts import contact_pairs, is_sensed, tool_prefixes
 from agym_jax.sim.index import Index, ToolIndex
 from agym_jax.sim.validate import check_robot, check_seat, check_task, check_tool
@@ -127,7 +127,7 @@ def compose(
     if task.tool is not None:
         check_tool(_load(task.tool.model), task.tool)
     if visual and visuals == "meshes":
-        dress(robot_spec, robot)
+        add_meshes(robot_spec, robot)
     _weld_the_rest(robot_spec, robot, task, arms)
     robot_root = robot_spec.worldbody.first_body().name
     _attach(spec, robot_spec, base, "robot/")

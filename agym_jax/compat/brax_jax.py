@@ -42,11 +42,11 @@ def device_put_replicated(x: Any, devices: Sequence[jax.Device]) -> Any:
 
 
 def apply() -> bool:
-    """Give ``jax.device_put_replicated`` back if JAX has none and the repair is not switched off.
+    """Give ``jax.device_put_replicated`` back if JAX has none, Brax is 0.14 and this is not switched off.
 
     Returns:
         Whether JAX's is this module's now.
     """
-    if not hasattr(jax, NAME) and switch.enabled("brax_jax"):
+    if not hasattr(jax, NAME) and switch.applies("brax_jax", "brax", "0.14.2", "0.15"):
         setattr(jax, NAME, device_put_replicated)
     return getattr(jax, NAME, None) is device_put_replicated

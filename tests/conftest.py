@@ -77,6 +77,32 @@ def compiled_human(env: Any, episode: Episode) -> mujoco.MjModel:
     )
 
 
+SHARED = ("batch", "rollout")
+"""Session fixtures that compile an environment: all tests that use one run on one worker."""
+SECONDS = {
+    "compiled environment": 150, "tests/train/test_coop.py": 120, "tests/sim/test_c_mujoco.py": 90,
+    "tests/tasks/test_dressing.py": 60, "tests/matter/test_cloth_kernel.py": 50,
+    "tests/offline/test_base_search.py": 50, "tests/tasks/test_meals.py": 40,
+    "tests/matter/test_containers.py": 35, "tests/train/test_ppo.py": 30,
+    "tests/matter/test_cloth.py": 30, "tests/matter/test_particles.py": 30,
+}  # fmt: skip
+"""What the longest groups take, roughly (2 cores, cold cache): these begin first, so that workers end together."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Group tests for ``--dist loadgroup``: those of a file, and those that share a compiled environment."""
+
+    def group(item: pytest.Item) -> str:
+        if set(SHARED) & set(getattr(item, "fixturenames", ())):
+            return "compiled environment"
+        mark = item.get_closest_marker("xdist_group")
+        return mark.args[0] if mark else item.nodeid.split("::")[0]
+
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group(group(item)), append=False)
+    items.sort(key=lambda item: -SECONDS.get(group(item), 0))
+
+
 @pytest.fixture(scope="session")
 def batch() -> CompiledBatch:
     """Eight environments of a person who does not act."""

@@ -157,7 +157,7 @@ def test_episode_is_truncated_at_200_steps_and_then_needs_a_reset(env: gymnasium
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("physics", ["env", "on_mjx"])
+@pytest.mark.parametrize("physics", ["env", pytest.param("on_mjx", marks=pytest.mark.slow)])
 def test_broken_physics_terminates(physics: str, request: pytest.FixtureRequest):
     env = request.getfixturevalue(physics)
     env.reset(seed=0)

@@ -16,7 +16,7 @@ from agym_jax.compat import warp_kernels
 from agym_jax.sim import mjx as mjx_physics
 from agym_jax.wrappers import vectorize
 
-pytestmark = pytest.mark.warp
+pytestmark = [pytest.mark.warp, pytest.mark.slow]
 N = 4
 
 

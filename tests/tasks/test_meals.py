@@ -178,6 +178,7 @@ def test_a_scripted_cup_pours_nine_tenths_into_the_mouth():
     assert float(env.task.success(state.task)) == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parity
 def test_food_is_the_same_in_native_and_in_mjx():

@@ -224,6 +224,7 @@ def test_restored_learners_learn_on_exactly_as_those_that_were_never_saved(tmp_p
     assert int(restored.env_steps) == 3 * 80
 
 
+@pytest.mark.slow
 def test_a_killed_run_of_two_goes_on_from_its_last_checkpoint(tmp_path):
     config = dataclasses.replace(
         CONFIG, save_dir=str(tmp_path), log_interval=1, save_interval=2, num_env_steps=50_000

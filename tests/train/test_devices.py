@@ -175,6 +175,7 @@ def piped(code: str, **options) -> subprocess.Popen:
     return start_python(code, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
 
 
+@pytest.mark.slow
 def test_an_update_on_two_devices_is_the_update_on_one():
     found = last_line(piped(SAME_UPDATE, env=TWO))
     assert len(found) == 3
@@ -184,6 +185,7 @@ def test_an_update_on_two_devices_is_the_update_on_one():
         assert gaps["steps"] == 8 * 30
 
 
+@pytest.mark.slow
 def test_what_is_empty_is_not_given_from_device_to_device():
     found = last_line(piped(EMPTY, env=TWO))
     given = re.findall(r"sdy.manual_computation.*?manual_axes=\S+ \((.*?)\) \{", found["text"])
@@ -193,6 +195,7 @@ def test_what_is_empty_is_not_given_from_device_to_device():
     assert found["sum"] == pytest.approx(found["is"], abs=1e-5) and found["apart"] > 1e-3
 
 
+@pytest.mark.slow
 def test_training_on_two_devices_is_as_good_as_on_one():
     found = last_line(piped(TRAINING, env=TWO))
     assert found["devices"] == 2 and found["ppo"] == 2
@@ -214,6 +217,7 @@ def free_port() -> int:
         return server.getsockname()[1]
 
 
+@pytest.mark.slow
 def test_two_hosts_train_one_policy_and_one_of_them_writes(tmp_path):
     words = "--env-name FakeCarryHuman-v0 --num-env-steps 10240 --num-envs 32 --lr 3e-3 "
     words += "--policy-hidden 32 --value-hidden 32 --num-mini-batch 4 --log-interval 4 "

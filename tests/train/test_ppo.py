@@ -133,6 +133,7 @@ def test_a_restored_learner_learns_on_exactly_as_one_that_was_never_saved(tmp_pa
     assert len(moments) > 8 and any(np.abs(np.asarray(m)).max() > 0 for m in moments)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
     config = dataclasses.replace(
         CONFIG, save_dir=str(tmp_path), log_interval=1, save_interval=2, num_env_steps=50_000

@@ -141,7 +141,9 @@ def init_agent(
         updates=jnp.zeros((), jnp.int32),
         critic_normalizer=None if critic_size is None else statistics(jnp.zeros(critic_size)),
     )
-    return strong(jax.tree.map(jnp.asarray, agent)), key  # Brax leaves a Python number in its statistics
+    return strong(
+        jax.tree.map(jnp.asarray, agent)
+    ), key  # Brax leaves a Python number in its statistics
 
 
 def compute_gae(

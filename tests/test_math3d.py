@@ -97,7 +97,7 @@ def test_child_pose_is_the_product_of_both_poses():
         np.testing.assert_allclose(found, quat_mul(quat, local, np), atol=1e-6)
 
 
-def test_segments_are_as_far_apart_as_sampling_says():
+def test_segment_distance_equals_a_sampled_minimum():
     between, u, v = pairs(200)
     found = np.asarray(distance(between, u, v))
     for i, got in enumerate(found):
@@ -127,7 +127,7 @@ def test_segments_are_as_far_apart_as_sampling_says():
         ((0, 0, 0), (1, 0, 0), (0, 1, 0), 0.0),
     ],
 )
-def test_segments_by_hand(between: tuple, u: tuple, v: tuple, expected: float):
+def test_segment_distance_of_special_cases(between: tuple, u: tuple, v: tuple, expected: float):
     args = [jnp.array(x, jnp.float32) for x in (between, u, v)]
     np.testing.assert_allclose(distance(*args), expected, atol=1e-6)
     back = [-args[0], args[2], args[1]]  # the other way round
@@ -135,7 +135,7 @@ def test_segments_by_hand(between: tuple, u: tuple, v: tuple, expected: float):
 
 
 @pytest.mark.parametrize("angle", [1e-2, 1e-3, 1e-4, 1e-6])
-def test_nearly_parallel_segments_are_no_worse_than_parallel_ones(angle: float):
+def test_nearly_parallel_segments_are_accurate(angle: float):
     between = jnp.array([0.1, 0.0, 0.05])
     u = jnp.array([0.0, 0.0, 0.15])
     v = 0.15 * jnp.array([np.sin(angle), 0.0, np.cos(angle)], jnp.float32)
@@ -143,7 +143,7 @@ def test_nearly_parallel_segments_are_no_worse_than_parallel_ones(angle: float):
     np.testing.assert_allclose(distance(between, u, v), sampled, atol=2e-4)
 
 
-def test_distance_broadcasts():
+def test_segment_distance_broadcasts():
     between, u, v = pairs(6)
     grid = distance(between.reshape(2, 3, 3), u.reshape(2, 3, 3), v[0])
     assert grid.shape == (2, 3)
@@ -183,7 +183,7 @@ def c_and_capsules(rng: np.random.Generator, kinds: tuple[str, str]):
 @pytest.mark.parametrize(
     "kinds", [("capsule", "capsule"), ("sphere", "capsule"), ("sphere", "sphere")]
 )
-def test_gap_is_c_mujocos(kinds: tuple[str, str]):
+def test_capsule_gap_equals_mujocos(kinds: tuple[str, str]):
     rng = np.random.default_rng(1)
     gaps, ours = [], []
     for _ in range(60):
@@ -198,14 +198,14 @@ def test_gap_is_c_mujocos(kinds: tuple[str, str]):
     assert (ours[~apart] < 1e-5).all()
 
 
-def test_gap_is_the_least_over_all_pairs():
+def test_capsule_gap_is_the_minimum_over_pairs():
     a = (jnp.array([[0.0, 0, 0], [5.0, 0, 0]]), jnp.zeros((2, 3)), jnp.array([0.1, 0.2]))
     b = (jnp.array([[0.0, 1, 0], [5.0, 0, 0.5], [9.0, 9, 9]]), jnp.zeros((3, 3)), jnp.full(3, 0.05))
     np.testing.assert_allclose(capsule_gap(a, b), 0.5 - 0.2 - 0.05, atol=1e-6)
     np.testing.assert_allclose(capsule_gap(b, a), 0.5 - 0.2 - 0.05, atol=1e-6)
 
 
-def test_gap_of_nothing_is_infinite():
+def test_capsule_gap_of_an_empty_set_is_infinite():
     none = (jnp.zeros((0, 3)), jnp.zeros((0, 3)), jnp.zeros(0))
     one = (jnp.zeros((1, 3)), jnp.zeros((1, 3)), jnp.ones(1))
     assert capsule_gap(none, one) == capsule_gap(one, none) == jnp.inf

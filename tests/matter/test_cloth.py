@@ -31,12 +31,12 @@ G = 9.81
 
 
 def loose(spec: ClothSpec) -> ClothSpec:
-    """The same cloth, held nowhere."""
+    """The same cloth without anchors."""
     return replace(spec, held=np.full(spec.count, -1), reach=np.full(spec.count, 1e3))
 
 
 def run(spec, cloth, n, solids=NOTHING, anchors=None, speed=(0.0, 0.0, 0.0)):
-    """All states and touches of n physics steps, while the anchors move at a speed [m/s]."""
+    """All states and contacts of n physics steps, while the anchors move at a speed [m/s]."""
     held = anchor_positions(spec, jnp.zeros(3)) if anchors is None else jnp.asarray(anchors)
     way = jnp.asarray(speed) * DT
 
@@ -49,7 +49,7 @@ def run(spec, cloth, n, solids=NOTHING, anchors=None, speed=(0.0, 0.0, 0.0)):
 
 
 def strains(spec: ClothSpec, pos: np.ndarray, compliance: float) -> np.ndarray:
-    """Of the edges along the threads."""
+    """Strains of the edges of one compliance."""
     edges = spec.edges
     rows, ids = np.nonzero((edges.active > 0) & (edges.compliance == compliance))
     lengths = np.linalg.norm(pos[edges.partner[rows, ids]] - pos[ids], axis=-1)
@@ -57,7 +57,7 @@ def strains(spec: ClothSpec, pos: np.ndarray, compliance: float) -> np.ndarray:
 
 
 def table(radius: float = 0.3) -> Capsules:
-    """So thick a capsule along x that its top is nearly level, at z = 0."""
+    """A capsule along x so thick that its top, at z = 0, is nearly level."""
     ends = jnp.array([[-2.0, 0.0, -radius]]), jnp.array([[2.0, 0.0, -radius]])
     return Capsules(*ends, jnp.array([radius]))
 
@@ -69,13 +69,13 @@ def lying(spec: ClothSpec, height: float) -> Cloth:
     return Cloth(jnp.asarray(pos, jnp.float32), jnp.zeros((len(v), 3)))
 
 
-def test_a_strip_hangs_in_a_catenary():
+def test_hanging_strip_is_a_catenary():
     wide, apart = 1.0, 0.8
     spec = build_cloth(sheet(wide, 0.05, 0.025, "ends"), Fabric(damping=4.0))
     v = spec.garment.vertices
     squeezed = v * [apart / wide, 1.0, 1.0]
     sag = 0.25 * (1.0 - (2.0 * v[:, 0] / wide - 1.0) ** 2)
-    flat = squeezed - np.stack([0 * sag, v[:, 2], v[:, 2] + sag], -1)  # laid level along y, sagging
+    flat = squeezed - np.stack([0 * sag, v[:, 2], v[:, 2] + sag], -1)  # horizontal along y, sagging
     start = Cloth(jnp.asarray(flat, jnp.float32), jnp.zeros_like(jnp.asarray(flat, jnp.float32)))
     states, _ = run(spec, start, 600, anchors=flat[spec.garment.anchors].astype(np.float32))
     pos = states.pos_w[-1]
@@ -86,16 +86,16 @@ def test_a_strip_hangs_in_a_catenary():
     assert np.abs(expected - pos[:, 2]).max() < 0.02
 
 
-def test_a_hanging_sheet_stretches_by_less_than_3_percent():
+def test_hanging_sheet_stretches_by_less_than_3_percent():
     spec = build_cloth(sheet(0.3, 0.6, 0.025))
     states, _ = run(spec, initial(spec, jnp.zeros(3)), 100)
     assert -states.pos_w[-1][:, 2].min() < 1.03 * 0.6
     soft = build_cloth(sheet(0.3, 0.6, 0.025), Fabric(stretch=0.1, shear=0.1))
-    soft = replace(soft, reach=np.full(soft.count, 1e3))  # nor tethered
+    soft = replace(soft, reach=np.full(soft.count, 1e3))  # and without tethers
     assert -run(soft, initial(soft, jnp.zeros(3)), 60)[0].pos_w[-1][:, 2].min() > 1.05 * 0.6
 
 
-def test_the_gown_stretches_by_less_than_3_percent():
+def test_gown_stretches_by_less_than_3_percent():
     spec = build_cloth(load())
     threads = strains(spec, spec.garment.hanging, spec.fabric.stretch)
     assert threads.mean() < 0.01 and np.quantile(threads, 0.9) < 0.03
@@ -104,7 +104,7 @@ def test_the_gown_stretches_by_less_than_3_percent():
     assert not touch.broken.any()
 
 
-def test_what_lies_there_weighs_what_it_weighs():
+def test_contact_force_of_resting_cloth_equals_its_weight():
     spec = loose(build_cloth(sheet(0.3, 0.2, 0.025)))
     _, touch = run(spec, lying(spec, 0.009), 150, table())
     weight = spec.mass.sum() * G
@@ -115,7 +115,7 @@ def test_what_lies_there_weighs_what_it_weighs():
 
 
 @pytest.mark.parametrize(("friction", "density"), [(0.1, 0.2), (0.3, 0.2), (0.3, 0.4)])
-def test_a_slow_pull_presses_with_friction_times_weight(friction: float, density: float):
+def test_friction_force_is_coefficient_times_weight(friction: float, density: float):
     garment = replace(sheet(0.3, 0.2, 0.025), area_density=density)
     garment = replace(garment, anchors=np.flatnonzero(garment.vertices[:, 0] > 0.299))
     spec = build_cloth(garment, Fabric(friction=friction))
@@ -127,7 +127,7 @@ def test_a_slow_pull_presses_with_friction_times_weight(friction: float, density
     np.testing.assert_allclose(felt[0] / -felt[2], friction, rtol=0.15)
 
 
-def test_the_anchors_feel_what_hangs_and_what_rubs():
+def test_grip_force_balances_weight_and_friction():
     spec = build_cloth(sheet(0.3, 0.4, 0.025))
     states, touch = run(spec, initial(spec, jnp.zeros(3)), 300)
     weight = spec.mass[spec.held < 0].sum() * G
@@ -148,7 +148,7 @@ def test_the_anchors_feel_what_hangs_and_what_rubs():
     )
 
 
-def test_cloth_slides_through_fingers_while_it_is_stretched():
+def test_cloth_slips_in_proportion_to_its_stretch():
     def after(slid, stretch, grip):
         nothing = jnp.zeros((0, 3)), jnp.zeros(0)
         felt = ClothContact(*nothing, jnp.array(grip), jnp.float32(stretch), jnp.array(False))
@@ -165,7 +165,7 @@ def test_cloth_slides_through_fingers_while_it_is_stretched():
     assert np.isfinite(after((0.0, 0.0, 0.0), 9.0, (0.0, 0.0, 0.0))).all()
 
 
-def test_cloth_that_is_let_go_falls_freely_and_held_cloth_is_as_before():
+def test_released_cloth_falls_freely():
     spec = build_cloth(load())
     cloth, none = initial(spec, jnp.zeros(3)), NOTHING
     at = anchor_positions(spec, jnp.zeros(3))
@@ -179,7 +179,7 @@ def test_cloth_that_is_let_go_falls_freely_and_held_cloth_is_as_before():
     np.testing.assert_allclose(momentum, [0.0, 0.0, -G * DT], atol=0.01 * G * DT)
 
 
-def test_cloth_lies_on_the_floor_whether_held_or_let_go():
+def test_cloth_rests_on_the_floor():
     spec, floor = build_cloth(load()), -0.3
     at, far = anchor_positions(spec, jnp.zeros(3)), table()
     far = replace(far, a_w=far.a_w + 9.0, b_w=far.b_w + 9.0)
@@ -200,7 +200,7 @@ def test_cloth_lies_on_the_floor_whether_held_or_let_go():
         np.testing.assert_allclose(touch.total, 0.0)  # the floor is none of the solids
         free = G * spec.mass[spec.held < 0].sum()
         if held:
-            # what lies or stands there does not hang from the hand
+            # what lies on the floor does not hang from the hand
             assert lying.mean() > 0.1 and 0.1 < touch.grip_w[-50:, 2].mean() / free < 0.9
         else:
             assert lying.mean() > 0.2 and height.max() < 0.3  # its folds stand up
@@ -230,7 +230,7 @@ def test_momentum_changes_by_gravity_only():
     np.testing.assert_allclose(change, [0.0, 0.0, -G * 50 * DT], atol=2e-3)
 
 
-def test_a_solid_that_moves_carries_cloth_along():
+def test_moving_solid_carries_cloth():
     spec = loose(build_cloth(sheet(0.3, 0.2, 0.025), Fabric(friction=0.5, damping=0.0)))
     anchors = anchor_positions(spec, jnp.zeros(3))
 
@@ -245,7 +245,7 @@ def test_a_solid_that_moves_carries_cloth_along():
     np.testing.assert_allclose(moved, 0.1, atol=0.02)
 
 
-def test_worlds_side_by_side_are_worlds_alone():
+def test_batched_environments_equal_single_ones():
     spec = build_cloth(sheet(0.2, 0.2, 0.025))
     anchors, solids = anchor_positions(spec, jnp.zeros(3)), table()
     pos = initial(spec, jnp.zeros(3)).pos_w
@@ -259,7 +259,7 @@ def test_worlds_side_by_side_are_worlds_alone():
     assert np.abs(many[0].pos_w[0] - many[0].pos_w[1]).max() > 1e-3
 
 
-def test_cloth_that_blows_up_is_put_back_and_said():
+def test_non_finite_cloth_is_reset_and_reported():
     spec = build_cloth(sheet(0.2, 0.2, 0.025))
     anchors, cloth = anchor_positions(spec, jnp.zeros(3)), initial(spec, jnp.zeros(3))
     wild = replace(cloth, vel_w=cloth.vel_w.at[40, 1].set(jnp.inf))

@@ -1,5 +1,5 @@
 # ruff: noqa: D103
-"""The cloth's GPU kernel, step by step on a CPU, against what XLA compiles of the same physics."""
+"""The cloth's GPU kernel, in interpret mode on a CPU, against XLA."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FLOOR = -0.3
 
 
 def small() -> ClothSpec:
-    """A sheet of 63 vertices: one less than a program has."""
+    """A sheet of 63 vertices: one less than the arrays of a kernel have."""
     return build_cloth(sheet(0.2, 0.15, 0.025), Fabric(substeps=3))
 
 
@@ -44,7 +44,7 @@ def batch(spec: ClothSpec) -> tuple[Cloth, Capsules, Capsules, jax.Array]:
 
 
 def stepped(spec: ClothSpec, steps: int) -> Callable:
-    """A function of ``batch`` that gives the cloth and what was felt in each of some physics steps."""
+    """A function of ``batch`` that returns the cloth, and the contacts of each of some physics steps."""
     at = anchor_positions(spec, jnp.zeros(3))
 
     def run(cloth: Cloth, start: Capsules, end: Capsules, held: jax.Array) -> tuple:
@@ -55,7 +55,7 @@ def stepped(spec: ClothSpec, steps: int) -> Callable:
 
 
 @pytest.mark.parametrize("whole", [False, True])
-def test_cloth_is_the_same_in_one_kernel(monkeypatch: pytest.MonkeyPatch, whole: bool):
+def test_kernel_equals_xla(monkeypatch: pytest.MonkeyPatch, whole: bool):
     spec = build_cloth(load()) if whole else small()
     given = batch(spec)
     expected = jax.jit(stepped(spec, 1 if whole else 4))(*given)
@@ -69,7 +69,7 @@ def test_cloth_is_the_same_in_one_kernel(monkeypatch: pytest.MonkeyPatch, whole:
     np.testing.assert_allclose(made[0].pos_w, cloth.pos_w, atol=2e-6)
 
 
-def test_a_kernel_without_a_word_on_the_anchors_holds(monkeypatch: pytest.MonkeyPatch):
+def test_kernel_holds_the_anchors_by_default(monkeypatch: pytest.MonkeyPatch):
     spec = small()
     cloth, start, end, _ = jax.tree.map(lambda x: x[0], batch(spec))
     at = anchor_positions(spec, jnp.zeros(3))
@@ -80,7 +80,9 @@ def test_a_kernel_without_a_word_on_the_anchors_holds(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("interpret", [False, True])
-def test_a_solid_that_is_nowhere_breaks_the_cloth(monkeypatch: pytest.MonkeyPatch, interpret: bool):
+def test_non_finite_solid_marks_the_cloth_as_broken(
+    monkeypatch: pytest.MonkeyPatch, interpret: bool
+):
     spec = small()
     cloth, start, end, held = jax.tree.map(lambda x: x[0], batch(spec))
     at, lost = anchor_positions(spec, jnp.zeros(3)), replace(end, a_w=end.a_w.at[0].set(jnp.nan))
@@ -90,13 +92,13 @@ def test_a_solid_that_is_nowhere_breaks_the_cloth(monkeypatch: pytest.MonkeyPatc
     assert touch.broken and np.isfinite(after.pos_w).all() and not touch.total.any()
 
 
-def test_a_gpu_runs_one_kernel_in_a_physics_step():
+def test_physics_step_is_one_kernel_on_a_gpu():
     spec = build_cloth(load())
     lowered = jax.jit(stepped(spec, 1)).trace(*batch(spec)).lower(lowering_platforms=("cuda",))
     assert lowered.as_text().count("__gpu$xla.gpu.triton") == 1
 
 
-def test_cloth_has_derivatives():
+def test_derivatives_equal_finite_differences():
     spec = small()
     cloth, start, end, held = jax.tree.map(lambda x: x[0], batch(spec))
     at = anchor_positions(spec, jnp.zeros(3))

@@ -1,5 +1,5 @@
 # ruff: noqa: D103
-"""Food in the spoon and water in the cup: they settle, stay, are carried, poured, spilled, never leak."""
+"""Food in the spoon and water in the cup: settling, carrying, pouring and spilling without leaks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 
 from agym_jax.data.npz import provenance_of, read_arrays
 from agym_jax.errors import MissingFillError, UnknownNameError
-from agym_jax.math3d import rotation_matrix
+from agym_jax.math3d import axis_angle_quat, rotation_matrix
 from agym_jax.matter.particles import fill as fills
 from agym_jax.matter.particles.fill import fill, fill_path, load_fill
 from agym_jax.matter.particles.solver import FOOD, WATER, Contact, Obstacles, Particles, advance
@@ -31,7 +31,7 @@ BOTH = pytest.mark.parametrize("name", ["spoon", "cup"])
 
 
 def motion(pos: np.ndarray, quat: np.ndarray) -> Obstacles:
-    """A vessel on its way (..., T, 3), (..., T, 4), and nothing else."""
+    """A vessel along a trajectory (..., T, 3), (..., T, 4), without other obstacles."""
     ends = jnp.zeros((*pos.shape[:-1], 0, 3))
     human = replace(no_capsules(), a_w=ends, b_w=ends)
     return Obstacles(
@@ -55,8 +55,7 @@ def moves() -> dict[str, Any]:
 
 def about(axis: Any, angle: Any) -> np.ndarray:
     """Quaternions wxyz (..., 4) of turns about one axis."""
-    half = np.asarray(angle)[..., None] / 2
-    return np.concatenate([np.cos(half), np.sin(half) * np.asarray(axis, float)], -1)
+    return axis_angle_quat(np.asarray(axis, float), np.asarray(angle), np)
 
 
 def play(
@@ -67,11 +66,11 @@ def play(
     Args:
         moves: the fixture.
         name: of the vessel.
-        path: times (T,) -> positions (WORLDS, T, 3) and quaternions (WORLDS, T, 4).
+        path: times (T,) -> positions (NUM_ENVS, T, 3) and quaternions (NUM_ENVS, T, 4).
         time: how long [s].
 
     Returns:
-        particles; at the end of every control step, contacts; particles that are out (steps, WORLDS).
+        particles; at the end of every control step, contacts; particles that are out (steps, NUM_ENVS).
     """
     spec, dt = PARTS[name]
     steps = round(PERIOD / dt)
@@ -97,7 +96,7 @@ def in_vessel(state: Particles, pos: np.ndarray, quat: np.ndarray) -> np.ndarray
 
 
 def straight(distance: Callable[[np.ndarray], np.ndarray], ways: Any) -> Path_of:
-    """Upright vessels on straight ways, one in each environment."""
+    """Upright vessels on straight paths, one per environment."""
 
     def path(t: np.ndarray) -> Pose:
         pos = distance(t)[:, None] * np.asarray(ways, float)[:, None] + [0.0, 0.0, 1.0]
@@ -117,12 +116,12 @@ def turned(angle: Callable[[np.ndarray], np.ndarray]) -> Path_of:
     return path
 
 
-WAYS = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0.5, 0.6))
+DIRECTIONS = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0.5, 0.6))
 
 
 @pytest.mark.parametrize(("name", "tilt", "time"), [("spoon", 0.0, 20), ("spoon", 11.0, 20), ("spoon", 20.0, 20), ("cup", 0.0, 4), ("cup", 10.0, 4)])  # fmt: skip
-def test_held_still_nothing_is_spilled(moves: Any, name: str, tilt: float, time: float) -> None:
-    """For food as long as an episode; and nobody is lost or made."""
+def test_resting_vessel_spills_nothing(moves: Any, name: str, tilt: float, time: float) -> None:
+    """For food as long as an episode; the number of particles is constant."""
     state, contacts, out = play(moves, name, turned(lambda t: 0 * t + np.deg2rad(tilt)), time)
     assert not out.any()
     assert np.all(state.alive)
@@ -133,13 +132,13 @@ def test_held_still_nothing_is_spilled(moves: Any, name: str, tilt: float, time:
 
 
 def energy(state: Particles) -> tuple[np.ndarray, np.ndarray]:
-    """Potential and kinetic energy of a particle, mean of each world [J/kg]."""
+    """Potential and kinetic energy of a particle, mean of each environment [J/kg]."""
     potential = 9.81 * np.asarray(state.pos_w)[..., 2].mean(1)
     return potential, np.square(state.vel_w).sum(-1).mean(1) / 2
 
 
 @BOTH
-def test_at_rest_energy_does_not_grow(moves: Any, name: str) -> None:
+def test_energy_at_rest_does_not_grow(moves: Any, name: str) -> None:
     state, quiet = None, turned(lambda t: 0 * t)
     levels = []
     for time in (0.1, 0.5, 1.0, 2.0, 3.0):
@@ -152,16 +151,16 @@ def test_at_rest_energy_does_not_grow(moves: Any, name: str) -> None:
 
 
 @BOTH
-def test_carried_as_fast_as_an_arm_nothing_is_spilled(moves: Any, name: str) -> None:
-    """To and fro at up to 0.5 m/s and 2 m/s^2, in every direction: the arms' full actions give less."""
-    sway = straight(lambda t: 0.125 * (1 - np.cos(4 * t)), WAYS)
+def test_vessel_carried_at_arm_speed_spills_nothing(moves: Any, name: str) -> None:
+    """Back and forth at up to 0.5 m/s and 2 m/s^2, in several directions: more than the arms' greatest actions."""
+    sway = straight(lambda t: 0.125 * (1 - np.cos(4 * t)), DIRECTIONS)
     _, _, out = play(moves, name, sway, 2.0)
     assert not out.any()
 
 
 @pytest.mark.parametrize(("name", "least"), [("spoon", 8), ("cup", 10)])
-def test_jerked_it_spills(moves: Any, name: str, least: int) -> None:
-    """Carried at 2 m/s and stopped at once."""
+def test_jerked_vessel_spills(moves: Any, name: str, least: int) -> None:
+    """Carried at 2 m/s and stopped within one physics step."""
     stop = straight(lambda t: 2.0 * np.minimum(t, 0.3), [(0.7, 0, 0.7), (0, 0.7, 0.7), (-0.7, 0, 0.7), (0.5, 0.5, 0.7)])  # fmt: skip
     state, _, out = play(moves, name, stop, 1.0)
     assert (out[-1] >= least).all()
@@ -187,7 +186,7 @@ def level_pour_angle(packing: float) -> float:
     raise AssertionError("more than the cup holds")
 
 
-def test_the_cup_begins_to_pour_when_its_level_reaches_the_rim(moves: Any) -> None:
+def test_cup_pours_when_the_level_reaches_the_rim(moves: Any) -> None:
     """Not before, and, as spheres heap up, some 10 to 20 degrees later; MuJoCo's rolling spheres: 85 to 90.
 
     Half is out at 92 degrees and all at 100 with spheres of friction 0.25 that roll in MuJoCo.
@@ -205,7 +204,7 @@ def test_the_cup_begins_to_pour_when_its_level_reaches_the_rim(moves: Any) -> No
     assert np.all(state.alive)
 
 
-def test_the_spoon_keeps_its_food_up_to_20_degrees_and_loses_it_by_80(moves: Any) -> None:
+def test_spoon_keeps_food_up_to_20_degrees_and_loses_it_by_80(moves: Any) -> None:
     """MuJoCo's rolling spheres of friction 0.25 leave a spoon one by one from 20 to 50 degrees."""
     rate = 15.0
     _, _, out = play(moves, "spoon", turned(lambda t: np.deg2rad(rate * t)), 81 / rate)
@@ -215,7 +214,7 @@ def test_the_spoon_keeps_its_food_up_to_20_degrees_and_loses_it_by_80(moves: Any
     assert (out[-1] == 8).all()
 
 
-def test_shaken_harder_than_any_arm_can_no_water_passes_the_wall() -> None:
+def test_shaken_water_does_not_pass_the_wall() -> None:
     """At up to 2 m/s and 30 rad/s (50 and 750 in accelerations) all leave by the opening or stay."""
     spec, dt = PARTS["cup"]
     t = np.arange(round(1.0 / dt) + 1) * dt
@@ -255,7 +254,7 @@ def test_shaken_harder_than_any_arm_can_no_water_passes_the_wall() -> None:
 
 
 @BOTH
-def test_banks(name: str) -> None:
+def test_fill_banks_are_at_rest_inside_the_vessel(name: str) -> None:
     spec, how, bank = PARTS[name][0], particle_fill.FILL_RECIPES[name], load_fill(name)
     rows = len(bank.gravity_dir)
     assert rows == 64 and bank.pos.shape == (rows, spec.count, 3)
@@ -274,7 +273,7 @@ def test_banks(name: str) -> None:
     assert fill_path(name).stat().st_size < 100_000
 
 
-def test_water_settles_where_assistive_gyms_does() -> None:
+def test_settled_water_matches_assistive_gym() -> None:
     """Reference tasks.md section 5: mean height 0.0195, at most 0.036, within 0.028 of the axis."""
     pos = load_fill("cup").pos[0]
     assert pos[:, 2].mean() == pytest.approx(0.0195, abs=0.0025)
@@ -282,7 +281,7 @@ def test_water_settles_where_assistive_gyms_does() -> None:
     assert np.abs(pos[:, :2]).max() < 0.028
 
 
-def test_food_settles_where_assistive_gyms_does() -> None:
+def test_settled_food_matches_assistive_gym() -> None:
     """Reference furniture.md section 7, above the spoon's inside: 0.0047 to 0.0117, mean 0.0082."""
     pos = load_fill("spoon").pos[0]
     assert pos[:, 2].mean() == pytest.approx(0.0082, abs=0.002)
@@ -301,7 +300,9 @@ def test_fill_takes_the_nearest_tilt() -> None:
         assert np.all(state.alive) and not np.any(state.vel_w)
 
 
-def test_a_missing_or_damaged_bank_says_how_to_build_it(tmp_path: Path, monkeypatch: Any) -> None:
+def test_missing_or_damaged_bank_names_the_command_that_builds_it(
+    tmp_path: Path, monkeypatch: Any
+) -> None:
     with pytest.raises(UnknownNameError, match=r"Unknown vessel 'mug'.*cup, spoon"):
         load_fill("mug")
     load = load_fill.__wrapped__
@@ -316,7 +317,9 @@ def test_a_missing_or_damaged_bank_says_how_to_build_it(tmp_path: Path, monkeypa
         load("cup")
 
 
-def test_a_bank_is_built_and_saved(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
+def test_command_line_builds_and_saves_a_bank(
+    tmp_path: Path, monkeypatch: Any, capsys: Any
+) -> None:
     """Two rows, two grids each, through the command line."""
     how = particle_fill.FILL_RECIPES["spoon"]
     coarse = replace(how.spec, substeps=2, sweeps=1)  # quick to compile
@@ -331,5 +334,5 @@ def test_a_bank_is_built_and_saved(tmp_path: Path, monkeypatch: Any, capsys: Any
     assert "Unknown vessel 'mug'" in capsys.readouterr().err
 
 
-def test_contact_is_a_tree_of_masks() -> None:
+def test_contact_fields_are_masks() -> None:
     assert set(Contact.__dataclass_fields__) == {"vessel", "human", "furniture", "floor", "lost"}

@@ -51,7 +51,7 @@ def write_obj(folder: Path, garment: Garment, factor: float = 100.0, **said) -> 
     return path
 
 
-def test_the_gown_has_the_measures_of_a_gown():
+def test_gown_has_its_measures():
     gown = load()
     assert 400 <= len(gown.vertices) <= 1200
     assert np.isclose(gown.cuff_perimeter, 0.52, atol=0.005)
@@ -65,7 +65,7 @@ def test_the_gown_has_the_measures_of_a_gown():
     np.testing.assert_allclose(build_cloth(gown).mass.sum(), gown.mass, rtol=1e-6)
 
 
-def test_what_is_kept_is_what_the_script_cuts():
+def test_packaged_gown_equals_the_built_one():
     made, kept = build_gown(), load()
     np.testing.assert_allclose(made.vertices, kept.vertices, atol=1e-9)
     np.testing.assert_array_equal(made.triangles, kept.triangles)
@@ -73,7 +73,7 @@ def test_what_is_kept_is_what_the_script_cuts():
 
 
 @pytest.mark.parametrize("edge", [0.0241, 0.02, 0.017])
-def test_resolution_is_a_parameter(edge: float):
+def test_gown_builds_at_other_resolutions(edge: float):
     gown, rough = build_gown(GownMeasures(edge=edge)), build_gown()
     assert np.isclose(gown.areas.sum(), rough.areas.sum(), rtol=0.08)
     assert np.isclose(gown.cuff_perimeter, 0.52, atol=0.003)
@@ -87,7 +87,7 @@ def test_resolution_is_a_parameter(edge: float):
             np.testing.assert_array_equal(back, ids)
 
 
-def test_cloth_resists_bending_alike_at_any_resolution():
+def test_bending_moment_is_independent_of_resolution():
     def energy(edge: float, radius: float) -> float:
         spec = build_cloth(sheet(0.6, 0.6, edge))
         x, _, z = spec.garment.vertices.T
@@ -102,14 +102,14 @@ def test_cloth_resists_bending_alike_at_any_resolution():
         np.testing.assert_allclose(fine, coarse, rtol=0.15)
 
 
-def test_finer_cloth_gets_more_substeps_unless_somebody_says_how_many():
+def test_finer_cloth_gets_more_substeps_by_default():
     assert build_cloth(load()).substeps == REFERENCE_SUBSTEPS
     fine = sheet(REFERENCE_EDGE * 10, REFERENCE_EDGE * 10, REFERENCE_EDGE / 2)
     assert build_cloth(fine).substeps == 4 * REFERENCE_SUBSTEPS
     assert build_cloth(fine, Fabric(substeps=3)).substeps == 3
 
 
-def test_somebodys_own_shirt(tmp_path: Path):
+def test_custom_garment_loads_from_obj_and_toml(tmp_path: Path):
     garment = load(str(write_obj(tmp_path, SQUARE, area_density=0.5)))
     np.testing.assert_allclose(
         garment.vertices, SQUARE.vertices - SQUARE.vertices[:4].mean(0), atol=1e-9
@@ -121,7 +121,7 @@ def test_somebodys_own_shirt(tmp_path: Path):
     assert abs(task.gown.hanging[:, 2].min() + 0.06) < 0.005  # it hangs by its upper edge
 
 
-def test_a_garment_is_woven_when_a_scene_is_built_not_before(tmp_path: Path):
+def test_garment_is_loaded_when_the_scene_is_built(tmp_path: Path):
     """So a bad one is refused before anything is compiled, and importing the task weaves nothing."""
     path = write_obj(tmp_path, SQUARE)
     good = Dressing(garment=str(path))
@@ -134,14 +134,14 @@ def test_a_garment_is_woven_when_a_scene_is_built_not_before(tmp_path: Path):
         compose(Dressing(garment=str(tmp_path / "yours.toml")), ROBOTS["Jaco"])
 
 
-def test_a_garment_that_first_appears_in_a_compiled_function_is_no_part_of_it(tmp_path: Path):
+def test_garment_loaded_inside_a_jitted_function_is_concrete(tmp_path: Path):
     task = Dressing(garment=str(write_obj(tmp_path, SQUARE)))
     mass = jax.jit(lambda x: x + task.spec.garment.mass)(0.0)  # weaves, and lets it hang
     assert isinstance(task.gown.hanging, np.ndarray)
     assert np.isclose(mass, task.gown.mass)
 
 
-def test_an_npz_that_is_no_garment_says_what_it_lacks(tmp_path: Path):
+def test_invalid_npz_names_what_is_missing(tmp_path: Path):
     np.savez(tmp_path / "a.npz", vertices=SQUARE.vertices, triangles=SQUARE.triangles)
     with pytest.raises(GarmentError, match=r"a\.npz is damaged: it has no cuff"):
         load(str(tmp_path / "a.npz"))
@@ -150,7 +150,7 @@ def test_an_npz_that_is_no_garment_says_what_it_lacks(tmp_path: Path):
         load(str(tmp_path / "b.npz"))
 
 
-def test_npz_keeps_everything(tmp_path: Path):
+def test_npz_round_trip_preserves_all_fields(tmp_path: Path):
     hanging = settle(SQUARE)
     save(hanging, tmp_path / "square.npz")
     again = load(str(tmp_path / "square.npz"))
@@ -161,7 +161,7 @@ def test_npz_keeps_everything(tmp_path: Path):
     assert load(str(tmp_path / "square.npz")).hanging is None
 
 
-def test_longest_edge_lets_a_limb_sink_by_the_thickness():
+def test_limb_sinks_by_the_thickness_at_the_longest_edge():
     edge, r, t = longest_edge(0.027, 0.008), 0.027, 0.008
     corner = edge / np.sqrt(3)  # of an equilateral triangle, from its middle
     assert np.isclose(np.sqrt((r + t) ** 2 - corner**2), r)  # the sphere's middle, above the plane
@@ -196,13 +196,13 @@ BAD = {
 
 
 @pytest.mark.parametrize("what", BAD)
-def test_bad_garments_are_refused_with_the_place(what: str):
+def test_invalid_garments_are_refused_with_the_location(what: str):
     changes, message = BAD[what]
     with pytest.raises(GarmentError, match=message):
         build_cloth(replace(SQUARE, **changes))
 
 
-def test_bad_descriptions_are_refused(tmp_path: Path):
+def test_invalid_descriptions_are_refused(tmp_path: Path):
     for changes, message in (
         ({"cuff": None}, "does not say cuff"),
         ({"cufff": [0]}, "'cufff'.*cuff"),
@@ -227,6 +227,6 @@ def test_bad_descriptions_are_refused(tmp_path: Path):
     ("changes", "message"), [({"thickness": 0.0}, "thickness > 0"), ({"stretch": -1.0}, "stretch >= 0"),
                              ({"substeps": 0}, "substeps > 0"), ({"friction": np.nan}, "friction")],
 )  # fmt: skip
-def test_bad_fabrics_are_refused(changes: dict, message: str):
+def test_invalid_fabrics_are_refused(changes: dict, message: str):
     with pytest.raises(GarmentError, match=message):
         build_cloth(SQUARE, Fabric(**changes))

@@ -1,10 +1,9 @@
 # ruff: noqa: D103
-"""Particles against closed forms: falling, resting, sliding, colliding; masks, contacts, bad numbers."""
+"""Particles against closed forms: falling, resting, sliding, colliding; masks, contacts, non-finite values."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import jax
@@ -12,13 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from agym_jax.matter.fused_scan import kernel
-from agym_jax.matter.particles import solver as matter
 from agym_jax.matter.particles.constraints import LAST_RELAXATION, apply_pairs, apply_vessel
 from agym_jax.matter.particles.containers import CUP, SPOON
 from agym_jax.matter.particles.solver import (
-    FOOD,
-    WATER,
     Contact,
     Obstacles,
     Particles,
@@ -38,7 +33,7 @@ FAR = 20.0
 
 
 def scene(**changes: Any) -> dict[str, np.ndarray]:
-    """Everything far away; no motion."""
+    """A scene in which all obstacles are far away and at rest."""
     far = {
         "vessel": np.array([0, 0, -1.0]), "turn": np.array([1.0, 0, 0, 0]), "a": np.array([[-FAR, 0, 0]]),
         "b": np.array([[-FAR, 0, 1]]), "radius": np.array([0.04]), "box": np.array([[0, FAR, 0]]),
@@ -49,22 +44,22 @@ def scene(**changes: Any) -> dict[str, np.ndarray]:
 
 
 def obstacles(batch: list[dict[str, np.ndarray]], speed: Any = 0.0) -> Obstacles:
-    """A batch of scenes at STEPS + 1 moments; capsules move with a velocity [m/s]."""
+    """A batch of scenes over STEPS physics steps; capsules move with a velocity [m/s]."""
     x = {k: jnp.stack([jnp.asarray(w[k]) for w in batch]) for k in batch[0]}
     moments = jnp.arange(STEPS + 1)[None, :, None]
-    still = lambda v: jnp.broadcast_to(v[:, None], (len(batch), STEPS + 1, *v.shape[1:]))  # noqa: E731
+    constant = lambda v: jnp.broadcast_to(v[:, None], (len(batch), STEPS + 1, *v.shape[1:]))  # noqa: E731
     away = (moments * DT * jnp.asarray(speed, jnp.float32))[:, :, None, :]
     return Obstacles(
-        vessel_pos_w=still(x["vessel"]),
-        vessel_quat_w=still(x["turn"]),
-        human=Capsules(still(x["a"]) + away, still(x["b"]) + away, x["radius"]),
+        vessel_pos_w=constant(x["vessel"]),
+        vessel_quat_w=constant(x["turn"]),
+        human=Capsules(constant(x["a"]) + away, constant(x["b"]) + away, x["radius"]),
         furniture=Boxes(x["box"], x["tilt"], x["half"]),
         floor=x["floor"],
     )
 
 
 def particles(pos: Any, vel: Any = 0.0, alive: Any = True) -> Particles:
-    """A batch of environments (WORLDS, n, 3)."""
+    """The same particles in each environment (NUM_ENVS, n, 3)."""
     pos = np.broadcast_to(np.asarray(pos, np.float32), (NUM_ENVS, *np.shape(pos)[-2:]))
     return Particles(
         jnp.asarray(pos),
@@ -89,7 +84,7 @@ HIGH = np.array([[0.0, 0, 6.0], [0.3, 0, 6.0], [0.6, 0, 6.0]])
 APART = np.array([[0.0, 0, 1.0], [0.3, 0, 1.0], [0.6, 0, 1.0]])
 
 
-def test_free_fall(run: Any) -> None:
+def test_free_fall_matches_closed_form(run: Any) -> None:
     vel = np.array([[1.0, 0.5, 2.0], [0, 0, 0], [-2.0, 0, 1.0]])
     after, contact = run(particles(HIGH, vel), obstacles([scene()] * NUM_ENVS))
     expected = HIGH + vel * TIME - [0, 0, G * TIME**2 / 2]
@@ -99,7 +94,7 @@ def test_free_fall(run: Any) -> None:
         assert not np.any(touched)
 
 
-def test_damping_and_the_greatest_speed(drift: Any) -> None:
+def test_damping_and_max_speed_match_closed_form(drift: Any) -> None:
     pos = np.arange(6.0)[:, None] * [0, 1.0, 0]
     vel = np.zeros((6, 3))
     vel[:2, 0] = 1.0, 10.0
@@ -109,8 +104,8 @@ def test_damping_and_the_greatest_speed(drift: Any) -> None:
     assert after.pos_w[0, 1, 0] == pytest.approx(path, rel=1e-3)
 
 
-def test_rest_on_the_floor(run: Any) -> None:
-    """No creep, no sinking: ten times 0.4 s."""
+def test_resting_particles_neither_creep_nor_sink(run: Any) -> None:
+    """Ten times 0.4 s."""
     state, motion = particles(APART * [1, 1, R]), obstacles([scene(floor=0.0)] * NUM_ENVS)
     for _ in range(10):
         state, contact = run(state, motion)
@@ -120,8 +115,8 @@ def test_rest_on_the_floor(run: Any) -> None:
     assert not np.any(contact.furniture | contact.human | contact.vessel)
 
 
-def test_sticks_and_slides_on_slopes(run: Any) -> None:
-    """Below atan(friction) it stays; above it has Coulomb's acceleration."""
+def test_particles_stick_and_slide_on_slopes_by_coulombs_law(run: Any) -> None:
+    """Below atan(friction) particles stay; above they have Coulomb's acceleration."""
     angle = np.deg2rad([0.0, 8.0, 15.0, 16.5, 17.5, 22.0, 30.0, 45.0])
     normal = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], -1)
     turns = np.stack([np.cos(angle / 2), 0 * angle, np.sin(angle / 2), 0 * angle], -1)
@@ -140,7 +135,7 @@ def test_sticks_and_slides_on_slopes(run: Any) -> None:
     assert not np.any(contact.floor)
 
 
-def test_a_particle_that_is_thrown_stops_by_friction(run: Any) -> None:
+def test_sliding_distance_follows_from_friction(run: Any) -> None:
     vel = np.array([[0, 0.5, 0], [0, 1.0, 0], [0, -2.0, 0]])
     floor = obstacles([scene(floor=0.0)] * NUM_ENVS)
     after, _ = run(particles(APART * [1, 1, R], vel), floor)
@@ -151,8 +146,8 @@ def test_a_particle_that_is_thrown_stops_by_friction(run: Any) -> None:
     np.testing.assert_allclose(gone, path, rtol=0.02)
 
 
-def test_a_moving_arm_carries_what_lies_on_it(run: Any) -> None:
-    """Friction is that of the relative motion: on a slow conveyor the particle is at rest."""
+def test_moving_arm_carries_particles(run: Any) -> None:
+    """Friction acts on the relative motion: a particle is at rest relative to a slow conveyor."""
     belt = scene(a=[[0.0, -1.0, 0.0]], b=[[0.0, 1.0, 0.0]], radius=[0.2])
     start = np.array([[0.0, 0.0, 0.2 + R], [0.0, 0.3, 0.2 + R], [0.0, -0.3, 0.2 + R]])
     after, contact = run(particles(start, [0, 0.2, 0]), obstacles([belt] * NUM_ENVS, [0, 0.2, 0]))
@@ -164,8 +159,8 @@ def momentum(state: Particles) -> np.ndarray:
     return np.asarray(state.vel_w).sum(1)
 
 
-def test_two_particles_collide(drift: Any) -> None:
-    """Momentum stays, nothing bounces, energy falls."""
+def test_collision_of_two_particles_conserves_momentum_without_bouncing(drift: Any) -> None:
+    """Kinetic energy decreases."""
     offset = np.linspace(0.0, 0.009, NUM_ENVS)
     pos = np.tile(np.arange(6.0)[:, None] * [0, 0, 1.0], (NUM_ENVS, 1, 1))
     vel = np.zeros_like(pos)
@@ -184,7 +179,7 @@ def test_two_particles_collide(drift: Any) -> None:
     assert not np.any(contact.vessel)
 
 
-def test_a_crowd_keeps_its_momentum(drift: Any) -> None:
+def test_collisions_of_many_particles_conserve_momentum(drift: Any) -> None:
     rng = np.random.default_rng(0)
     ring = 0.03 * np.stack([np.cos(np.arange(6)), np.sin(np.arange(6)), 0 * np.arange(6)], -1)
     pos = ring + rng.normal(0, 0.002, (NUM_ENVS, 6, 3))
@@ -197,8 +192,8 @@ def test_a_crowd_keeps_its_momentum(drift: Any) -> None:
 
 
 @pytest.mark.parametrize("what", ["floor", "box", "arm"])
-def test_nothing_is_crossed_at_full_speed(run: Any, what: str) -> None:
-    """Thrown at 6 m/s, the greatest speed, against solids of 40 mm half thickness."""
+def test_no_solid_is_crossed_at_max_speed(run: Any, what: str) -> None:
+    """At up to 6 m/s, the maximum speed, against solids of 40 mm half thickness."""
     where = {
         "floor": scene(floor=0.8),
         "box": scene(box=[[0.3, 0, 0.76]], half=[[1.0, 1.0, 0.04]]),
@@ -214,8 +209,8 @@ def test_nothing_is_crossed_at_full_speed(run: Any, what: str) -> None:
         assert np.all(who) if name == what else not np.any(who)
 
 
-def test_an_arm_that_sweeps_past_pushes_what_is_in_its_way(run: Any) -> None:
-    """At 2 m/s, sideways: no particle is left behind it."""
+def test_sweeping_arm_pushes_particles(run: Any) -> None:
+    """At 2 m/s, sideways: no particle passes through it."""
     arm = scene(a=[[-0.05, -1, 1]], b=[[-0.05, 1, 1]])
     hit = np.array([[0.0, 0, 1.0], [0.0, 0.1, 1.0], [0.0, -0.2, 0.9]])
     after, contact = run(particles(hit, [0, 0, 1.0]), obstacles([arm] * NUM_ENVS, [2.0, 0, 0]))
@@ -270,7 +265,7 @@ def test_removed_particles_are_masked() -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("field", ["pos_w", "vel_w"])
-def test_a_particle_that_goes_bad_is_masked_and_counted(run: Any, field: str, bad: float) -> None:
+def test_non_finite_particle_is_masked_and_counted(run: Any, field: str, bad: float) -> None:
     whole = particles(HIGH)
     broken = replace(whole, **{field: getattr(whole, field).at[2, 1, 0].set(bad)})
     motion = obstacles([scene(floor=0.0)] * NUM_ENVS)
@@ -289,7 +284,7 @@ def test_a_particle_that_goes_bad_is_masked_and_counted(run: Any, field: str, ba
     np.testing.assert_array_equal(again.alive, after.alive)
 
 
-def test_a_vessel_that_goes_bad_loses_its_particles(run: Any) -> None:
+def test_non_finite_vessel_loses_its_particles(run: Any) -> None:
     motion = obstacles([scene(vessel=[0, 0, 0])] * NUM_ENVS)
     motion = replace(motion, vessel_pos_w=motion.vessel_pos_w.at[5, 7].set(jnp.nan))
     after, contact = run(particles(APART), motion)
@@ -297,7 +292,7 @@ def test_a_vessel_that_goes_bad_loses_its_particles(run: Any) -> None:
     assert np.isfinite(after.pos_w).all() and np.isfinite(after.vel_w).all()
 
 
-def test_step_by_step_and_alone_it_is_the_same(run: Any) -> None:
+def test_single_steps_equal_a_batched_trajectory(run: Any) -> None:
     """One environment, moved by ``step``, where an arm comes from below; all in float32."""
     arm = scene(floor=0.9, a=[[0, -1, 0.9]], b=[[0, 1, 0.9]])
     state, motion = particles(APART), obstacles([arm] * NUM_ENVS, [0, 0, 0.2])
@@ -325,8 +320,8 @@ def test_step_by_step_and_alone_it_is_the_same(run: Any) -> None:
     assert each.lost.dtype == jnp.int32
 
 
-def test_the_same_again_bit_for_bit(run: Any) -> None:
-    """A heap of particles, twice, and in any place of the batch."""
+def test_results_are_reproducible_bit_for_bit(run: Any) -> None:
+    """For a heap of particles, in two runs and at any index of the batch."""
     rng = np.random.default_rng(1)
     heap = np.repeat(0.01 * rng.normal(size=(1, 3, 3)) + [0, 0, 0.02], NUM_ENVS, axis=0)
     motion = obstacles([scene(floor=0.0)] * NUM_ENVS)
@@ -336,84 +331,7 @@ def test_the_same_again_bit_for_bit(run: Any) -> None:
         np.testing.assert_array_equal(a, np.repeat(np.asarray(a)[:1], NUM_ENVS, axis=0))
 
 
-def busy(spec: ParticleSpec) -> tuple[Particles, Obstacles]:
-    """Three environments, two physics steps: a crowd, some of it masked, a tilted vessel, nine arms, a box, a floor."""
-    rng = np.random.default_rng(3)
-
-    def moving(centre: Any, half: float, *shape: int) -> jax.Array:
-        start, way = rng.uniform(-half, half, (2, 3, 1, *shape))
-        times = np.arange(3.0).reshape(1, 3, *[1] * len(shape))
-        return jnp.asarray(start + centre + 0.1 * times * way, jnp.float32)
-
-    middle, upright = np.array([0, 0, 0.015]), np.array([1.0, 0, 0, 0])
-    crowd = jnp.asarray(middle + rng.uniform(-0.02, 0.02, (3, spec.count, 3)), jnp.float32)
-    speed = jnp.asarray(rng.normal(0, 0.3, crowd.shape), jnp.float32)
-    alive = jnp.asarray(rng.uniform(size=crowd.shape[:2]) < 0.8)
-    obstacles = Obstacles(
-        vessel_pos_w=moving([0, 0, 0], 0.01, 3),
-        vessel_quat_w=moving(upright, 0.5, 4),
-        human=Capsules(
-            moving(middle, 0.05, 9, 3), moving(middle, 0.05, 9, 3), jnp.full((3, 9), 0.01)
-        ),
-        furniture=Boxes(
-            moving(middle, 0.02, 1, 3)[:, 0],
-            moving(upright, 0.5, 1, 4)[:, 0],
-            jnp.full((3, 1, 3), 0.01),
-        ),
-        floor=jnp.full(3, -0.002),
-    )
-    return Particles(crowd, speed, alive), obstacles
-
-
-@pytest.mark.parametrize("spec", [FOOD, WATER], ids=["food", "water"])
-def test_in_one_kernel_it_is_the_same(spec: ParticleSpec, monkeypatch: Any) -> None:
-    """As on a GPU, step by step here; and on a GPU it is what runs."""
-    world = busy(spec)
-    plain = jax.jit(jax.vmap(lambda p, m: advance(spec, p, m, 0.01)))
-    expected, touched = plain(*world)
-    for_gpu = plain.trace(*world).lower(lowering_platforms=("cuda",)).as_text()
-    assert for_gpu.count("__gpu$xla.gpu.triton") == 1
-    assert "triton" not in plain.lower(*world).as_text()
-    monkeypatch.setattr(matter, "fused_scan", partial(kernel, interpret=True))
-    whole = jax.jit(jax.vmap(lambda p, m: advance(spec, p, m, 0.01)))
-    after, contact = whole(*world)
-    np.testing.assert_allclose(after.pos_w, expected.pos_w, atol=2e-6)
-    np.testing.assert_allclose(after.vel_w, expected.vel_w, atol=2e-3)
-    np.testing.assert_array_equal(after.alive, world[0].alive)
-    for name in ("vessel", "human", "furniture", "floor"):
-        np.testing.assert_array_equal(getattr(contact, name), getattr(touched, name))
-        assert np.any(getattr(contact, name))  # so that all kinds of pushes are compared
-
-
-def test_a_number_of_particles_that_no_kernel_can_have_is_left_to_xla(run: Any) -> None:
-    world = particles(HIGH), obstacles([scene()] * NUM_ENVS)
-    for_gpu = run.trace(*world).lower(lowering_platforms=("cuda",)).as_text()
-    assert "triton" not in for_gpu
-
-
-def test_kernel_refuses_more_vectors_than_scratch_rows() -> None:
-    def body(x: jax.Array, *unused: Any) -> jax.Array:
-        return unused[-1](lambda rows: rows[0][:, None] * x, [x] * 17)
-
-    with pytest.raises(ValueError, match="has 16 rows, got 17 vectors"):
-        kernel(body, jnp.ones(64), jnp.zeros(3), jnp.float32(0.0), interpret=True)
-
-
-def test_derivatives_of_a_walk_are_finite() -> None:
-    """Those of what XLA compiles, also where a kernel could run."""
-    state, motion = jax.tree.map(lambda x: x[0], busy(FOOD))
-    once = replace(FOOD, substeps=1, sweeps=1)
-
-    def after(pos_w: jax.Array) -> jax.Array:
-        return advance(once, replace(state, pos_w=pos_w), motion, 0.01)[0].pos_w
-
-    up = jnp.ones_like(state.pos_w)
-    change = np.asarray(jax.jit(lambda p: jax.jvp(after, (p,), (up,))[1])(state.pos_w))
-    assert np.isfinite(change).all() and np.any(change != 1.0)
-    np.testing.assert_array_equal(change[~np.asarray(state.alive)], 1.0)
-
-
-def test_gradients_are_finite() -> None:
+def test_gradients_at_coincident_points_are_finite() -> None:
     """Of particles in one place, on the cup's axis, in the middle of its wall."""
     pos = jnp.array(
         [[0.0, 0, 0.01], [0.0, 0, 0.01], [CUP.brim[0], 0, CUP.brim[1]], [0.0, 0, 0.0044]]
@@ -428,8 +346,8 @@ def test_gradients_are_finite() -> None:
     assert np.isfinite(jax.jit(jax.grad(total))(pos)).all()
 
 
-def test_no_way_leads_through_a_wall() -> None:
-    """Ways of up to 30 mm in a substep of 2 ms, 15 m/s: none changes sides but by the opening."""
+def test_no_displacement_passes_the_wall() -> None:
+    """Displacements of up to 30 mm in a substep of 2 ms (15 m/s) change sides through the opening only."""
     rng = np.random.default_rng(2)
     for vessel in (CUP, SPOON):
         size = np.array([vessel.brim[0], vessel.brim[0] + vessel.trough, vessel.rim_height])

@@ -76,7 +76,7 @@ def mid_surface(vessel: Vessel, n: int = 90) -> np.ndarray:
 
 
 @VESSELS
-def test_a_wall_is_as_far_as_its_nearest_point(vessel: Vessel) -> None:
+def test_wall_distance_equals_that_of_the_nearest_sample(vessel: Vessel) -> None:
     points = cloud([0, 0, vessel.depth / 2], [0.06, 0.06, vessel.depth])
     dist, normal = vessel.wall(*xyz(points))
     surface = mid_surface(vessel)
@@ -86,7 +86,7 @@ def test_a_wall_is_as_far_as_its_nearest_point(vessel: Vessel) -> None:
 
 
 @VESSELS
-def test_a_walls_normal_is_the_slope_of_its_distance(vessel: Vessel) -> None:
+def test_wall_normal_is_the_gradient_of_the_distance(vessel: Vessel) -> None:
     points = cloud([0, 0, vessel.depth / 2], [0.05, 0.05, vessel.depth])
     with jax.enable_x64(True):
         slope = gradient(lambda p: np.asarray(vessel.wall(*columns(jnp.asarray(p)))[0]), points)
@@ -96,7 +96,7 @@ def test_a_walls_normal_is_the_slope_of_its_distance(vessel: Vessel) -> None:
 
 
 @VESSELS
-def test_the_inside_has_the_volume_that_is_stated(vessel: Vessel) -> None:
+def test_volume_equals_a_monte_carlo_estimate(vessel: Vessel) -> None:
     """Between the inner faces and below the rim, by counting points."""
     half = np.array([0.05, 0.05, vessel.depth / 2])
     inner_top = vessel.rim_height if isinstance(vessel, Cup) else vessel.rim_depth
@@ -121,7 +121,7 @@ def test_the_inside_has_the_volume_that_is_stated(vessel: Vessel) -> None:
         (SPOON, (0.0, 0.0, 0.02), False),
     ],
 )  # fmt: skip
-def test_what_a_vessel_holds(vessel: Vessel, point: tuple, is_held: bool) -> None:
+def test_holds_is_true_inside_only(vessel: Vessel, point: tuple, is_held: bool) -> None:
     assert bool(vessel.holds(*map(jnp.float32, point))) == is_held
 
 
@@ -133,12 +133,12 @@ def test_what_a_vessel_holds(vessel: Vessel, point: tuple, is_held: bool) -> Non
         ((0.03, 0, 0.05), (0.06, 0, 0.05), False), ((0.03, 0, 0.11), (0.09, 0, 0.13), False),
     ],
 )  # fmt: skip
-def test_a_way_passes_the_opening_or_not(start: tuple, end: tuple, passes: bool) -> None:
+def test_passes_detects_paths_through_the_opening(start: tuple, end: tuple, passes: bool) -> None:
     ways = (tuple(map(jnp.float32, x)) for x in (start, end))
     assert bool(CUP.passes(*ways)) == passes
 
 
-def test_sizes_are_those_of_assistive_gyms_tools() -> None:
+def test_vessel_sizes_match_assistive_gym() -> None:
     """Reference furniture.md sections 6 and 7."""
     for z, inner in (
         (0.012, 0.030),
@@ -157,7 +157,7 @@ def test_sizes_are_those_of_assistive_gyms_tools() -> None:
     np.testing.assert_allclose(up, [0, 0, 1], atol=1e-6)
 
 
-def test_capsules() -> None:
+def test_capsule_distances_match_closed_form() -> None:
     a, b = np.array([[0, 0, 1.0], [1, 1, 1]]), np.array([[0.5, 0, 1.0], [1, 1, 1]])
     radius, moved = np.array([0.1, 0.2]), np.array([0.01, 0.0, -0.02])
     points = cloud([0.5, 0.5, 1.0], 1.0)
@@ -175,7 +175,7 @@ def test_capsules() -> None:
     np.testing.assert_allclose(np.asarray(dot(seen.normal, seen.normal)), 1.0, atol=1e-5)
 
 
-def test_a_turning_capsule_moves_where_it_is_touched() -> None:
+def test_rotating_capsule_moves_at_the_nearest_point() -> None:
     before = Capsules(jnp.zeros((1, 3)), jnp.array([[1.0, 0, 0]]), jnp.array([0.1]))
     now = Capsules(jnp.zeros((1, 3)), jnp.array([[1.0, 0, 0.04]]), jnp.array([0.1]))
     seen = capsule_distances(
@@ -184,7 +184,7 @@ def test_a_turning_capsule_moves_where_it_is_touched() -> None:
     np.testing.assert_allclose(seen.moved[2], [[0.01, 0.04]], atol=5e-4)
 
 
-def test_boxes() -> None:
+def test_box_distances_match_closed_form() -> None:
     quat = np.array([0.8, 0.0, 0.6, 0.0])
     rot, pos, half = (
         np.asarray(rotation_matrix(jnp.asarray(quat), normalize=True)),
@@ -206,7 +206,7 @@ def test_boxes() -> None:
     np.testing.assert_allclose(off.max(1), 0.0, atol=1e-6)  # back along the normal lies the surface
 
 
-def test_the_floor_and_nothing() -> None:
+def test_floor_distances_and_empty_sets() -> None:
     points = xyz(np.array([[3.0, -2.0, 0.4], [0.0, 0.0, -0.1]]))
     floor = floor_distances(points, jnp.float32(0.1))
     np.testing.assert_allclose(floor.dist, [[0.3, -0.2]], atol=1e-6)
@@ -234,7 +234,7 @@ def test_gradients_are_finite_where_lengths_are_zero() -> None:
     assert np.isfinite(jax.jit(jax.vmap(jax.grad(total)))(points)).all()
 
 
-def test_what_tools_hold() -> None:
+def test_capacity_of_cup_and_spoon() -> None:
     assert capacity(SPOON, FOOD.radius) == pytest.approx(15, abs=2)
     assert capacity(CUP, WATER.radius) > 400
     assert capacity(CUP, 2 * WATER.radius) < capacity(CUP, WATER.radius) / 6
@@ -250,7 +250,7 @@ def test_what_tools_hold() -> None:
         ({"radius": -1.0}, 0.01, "need radius > 0"),
     ],
 )  # fmt: skip
-def test_what_cannot_work_is_refused_with_the_limit(changes: dict, dt: float, words: str) -> None:
+def test_invalid_particles_are_refused_with_the_limit(changes: dict, dt: float, words: str) -> None:
     spec = ParticleSpec(**({"vessel": SPOON, "count": 8, "substeps": 3} | changes))
     with pytest.raises(MatterError, match=words):
         check(spec, dt, thinnest=0.025)
@@ -262,14 +262,14 @@ def test_food_and_water_are_accepted() -> None:
     assert speed_limit(WATER, 0.01, 0.02) == pytest.approx(0.025 / 0.0025)
 
 
-def test_a_bowl_without_a_trough_is_round() -> None:
+def test_bowl_without_trough_is_a_surface_of_revolution() -> None:
     dish = Bowl(half_width=0.02, half_length=0.02, rim_depth=0.01, thickness=0.002)
     p = cloud([0, 0, 0.01], 0.03)
     turned = p[:, [1, 0, 2]] * [-1, 1, 1]
     np.testing.assert_allclose(dish.wall(*xyz(p))[0], dish.wall(*xyz(turned))[0], atol=1e-6)
 
 
-def test_a_vessel_that_leaves_something_out_is_refused_by_name() -> None:
+def test_incomplete_vessel_class_is_refused() -> None:
     class Thimble(Cup):
         reach = Vessel.reach
 

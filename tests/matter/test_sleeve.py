@@ -48,7 +48,7 @@ def on_upper(share: float):
     return loop(elbow + share * (shoulder - elbow), shoulder - elbow)
 
 
-def test_lengths_are_assistive_gyms():
+def test_arm_lengths_match_assistive_gym():
     np.testing.assert_allclose(MAN.forearm_length, 0.419, atol=5e-4)
     np.testing.assert_allclose(MAN.upper_length, 0.279, atol=5e-4)
     np.testing.assert_allclose(MAN.hand_end_w, [0.4538, -0.346, 0.9831], atol=1e-4)
@@ -60,12 +60,12 @@ def test_lengths_are_assistive_gyms():
      ((0.2, 0.2, -2), (0.2, 0.2, -1), False), ((0.9, 0.9, -1), (0.9, 0.9, 1), False),
      ((-0.1, 0.2, -1), (-0.1, 0.2, 1), False)],
 )  # fmt: skip
-def test_a_segment_crosses_a_triangle(start, end, hit):
+def test_crossed_detects_segments_through_triangles(start, end, hit):
     triangle = jnp.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
     assert bool(crossed(jnp.array(start, float), jnp.array(end, float), triangle)[0]) == hit
 
 
-def test_watched_vertices_lie_around_the_opening():
+def test_watched_vertices_span_the_opening():
     gown = load()
     ids = watched_vertices(gown)
     assert ids.shape == (2, 3) and len(set(ids.ravel().tolist())) == 6
@@ -77,7 +77,7 @@ def test_watched_vertices_lie_around_the_opening():
         )
 
 
-def test_on_the_forearm_on_the_upper_arm_or_on_nothing():
+def test_sleeve_state_names_the_segment():
     fore, upper = sleeve_state(on_forearm(0.5), MAN), sleeve_state(on_upper(0.5), MAN)
     assert fore.forearm and not fore.upper_arm
     assert upper.upper_arm and not upper.forearm
@@ -87,13 +87,13 @@ def test_on_the_forearm_on_the_upper_arm_or_on_nothing():
         assert not nothing.forearm and not nothing.upper_arm
 
 
-def test_points_must_lie_on_both_sides_in_both_directions():
+def test_surrounds_needs_points_on_both_sides():
     points = on_forearm(0.5)
     assert surrounds(points, MAN.hand_end_w, MAN.elbow_end_w)
     assert not surrounds(points + jnp.array([0.0, 0.0, 0.061]), MAN.hand_end_w, MAN.elbow_end_w)
 
 
-def test_a_sleeve_that_is_on_nothing_is_remembered_for_half_a_second():
+def test_sleeve_state_is_remembered_for_half_a_second():
     off, was = sleeve_state(on_forearm(-0.3), MAN), SleeveState(YES, NO)
     for look in range(8):
         was = off.after(was)
@@ -102,13 +102,13 @@ def test_a_sleeve_that_is_on_nothing_is_remembered_for_half_a_second():
     assert again.forearm and again.steps_off == 0
 
 
-def test_where_it_is_counts_before_where_it_was():
+def test_present_segment_replaces_the_remembered_one():
     # back from the upper arm: AG would go on paying for the upper arm, the more the farther back
     back = sleeve_state(on_forearm(0.5), MAN).after(SleeveState(NO, YES))
     assert back.forearm and not back.upper_arm
 
 
-def test_r_dress_is_assistive_gyms():
+def test_dressing_distance_equals_assistive_gyms_r_dress():
     nothing, fore, both = SleeveState(NO, NO), SleeveState(YES, NO), SleeveState(YES, YES)
     way = MAN.forearm_length - 0.043  # from the tip of the hand to the elbow
     np.testing.assert_allclose(dressing_distance(on_forearm(0.5), MAN, fore), 0.5 * way, rtol=1e-3)
@@ -122,14 +122,14 @@ def test_r_dress_is_assistive_gyms():
     np.testing.assert_allclose(beyond, MAN.forearm_length, rtol=1e-3)
 
 
-def test_a_woman_needs_the_upper_arm_for_success():
+def test_success_needs_the_upper_arm_for_the_woman():
     woman = replace(
         MAN, wrist_w=MAN.elbow_w + jnp.array([0.0, -0.261, 0.0]), radius=jnp.float32(0.0355)
     )
     assert woman.forearm_length < 0.4 < MAN.forearm_length
 
 
-def test_progress_is_a_share_of_the_way_and_zero_off_the_arm():
+def test_progress_is_relative_to_the_arm_and_zero_off_it():
     fore = MAN.forearm_length - 0.043
     whole = fore + MAN.upper_length
     np.testing.assert_allclose(progress(on_forearm(0.5), MAN), 0.5 * fore / whole, atol=2e-3)

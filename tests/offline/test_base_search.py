@@ -111,7 +111,7 @@ def turned_by(rot: np.ndarray, quat: Any) -> float:
 
 
 @pytest.mark.parametrize(("task", "robot"), PAIRS)
-def test_banks_rows_keep_to_limits_and_to_where_bases_may_stand(task: str, robot: str):
+def test_bank_rows_respect_joint_limits_and_base_areas(task: str, robot: str):
     spec, machine = TASKS[task], ROBOTS[robot]
     bank = load_bank(spec, machine)
     arms = machine.arms_for(spec)
@@ -144,7 +144,7 @@ def test_banks_rows_keep_to_limits_and_to_where_bases_may_stand(task: str, robot
 
 
 @pytest.mark.parametrize(("task", "robot"), PAIRS)
-def test_banks_rows_start_where_assistive_gym_does_and_touch_nothing(task: str, robot: str):
+def test_bank_rows_start_at_assistive_gyms_pose_without_contact(task: str, robot: str):
     spec, machine = TASKS[task], ROBOTS[robot]
     bank, world = load_bank(spec, machine), stage(spec, machine)
     starts = START[task]
@@ -205,7 +205,7 @@ class LiftHere(ArmManipulation):
     ],
     ids=["fixed-base", "free-base", "two-arms"],
 )
-def test_search_finds_rows_that_start_there_and_touch_nothing(
+def test_search_finds_contact_free_start_poses(
     task: Task, robot: RobotSpec, points: tuple, size: int
 ):
     bank, report = search(task, robot, seed=3, size=size)
@@ -223,14 +223,14 @@ def test_search_finds_rows_that_start_there_and_touch_nothing(
         assert not world.touching()
 
 
-def test_same_seed_same_rows():
+def test_search_is_reproducible():
     task, robot = ScratchHere(), ROBOTS["Jaco"]
     (a, _), (b, _), (c, _) = (search(task, robot, seed=s, size=4, restarts=4) for s in (0, 0, 1))
     np.testing.assert_array_equal(a.arm_angles, b.arm_angles)
     assert np.abs(np.asarray(a.arm_angles)[0] - np.asarray(c.arm_angles)[0]).max() > 1e-3
 
 
-def test_base_out_of_reach_is_refused():
+def test_unreachable_start_is_refused():
     far = dataclasses.replace(
         ROBOTS["Sawyer"], searches={"BedBathing": BaseSearch((-4.0, 0.0, 0.905))}
     )
@@ -238,7 +238,7 @@ def test_base_out_of_reach_is_refused():
         search(WipeHere(), far, size=2, restarts=2)
 
 
-def test_goal_out_of_reach_is_named():
+def test_unreachable_goal_is_named():
     # Jaco stands beside the person's head
     task = dataclasses.replace(WipeHere(), goals=(("right_upper_arm", "left_foot"),))
     with pytest.raises(SpecError, match=r"'left_foot'.*searches\['BedBathing'\]"):
@@ -252,7 +252,7 @@ def test_missing_bank_names_the_command():
         load_bank(TASKS["Reaching"], toybot)
 
 
-def test_bank_comes_back_as_it_was_saved(tmp_path):
+def test_bank_round_trip_preserves_rows(tmp_path):
     bank = load_bank(TASKS["ScratchItch"], ROBOTS["Jaco"])
     placements.save_bank(bank, tmp_path / "deep" / "bank.npz", {"seed": 7})
     with np.load(tmp_path / "deep" / "bank.npz", allow_pickle=False) as z:
@@ -261,7 +261,7 @@ def test_bank_comes_back_as_it_was_saved(tmp_path):
         assert json.loads(str(z["provenance"])) == {"seed": 7}
 
 
-def test_command_line_reports_every_bank_and_refuses_nonsense(capsys: pytest.CaptureFixture):
+def test_command_line_reports_every_bank_and_refuses_unknown_ids(capsys: pytest.CaptureFixture):
     assert placements.main(["report"]) == 0
     lines = capsys.readouterr().out.splitlines()
     for task, robot in PAIRS:

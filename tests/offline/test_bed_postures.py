@@ -1,5 +1,5 @@
 # ruff: noqa: D103
-"""People on the bed: the banks are whole, nobody sinks in or floats, and they lie as AG's people do."""
+"""Banks of postures on the bed: valid, without penetration or gaps, and close to Assistive Gym's."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SAMPLE = 24
 
 
 def _drawn(name: str, humans: Population, count: int) -> tuple[Human, BodyPose]:
-    """People of a task and how they lie, as an episode draws them; leaves in float64 (count, ...)."""
+    """People of a task and their poses, as sampled in episodes; leaves in float64 (count, ...)."""
     spec = ALL_TASKS[name].human
 
     def one(key: jax.Array) -> tuple[Human, BodyPose]:
@@ -67,7 +67,7 @@ def _collision_geoms_of_the_bed() -> list[str]:
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_bank_is_whole(name: str):
+def test_bank_has_valid_fields_and_order(name: str):
     bank = load_postures(name)
     assert all(leaf.dtype == np.float32 for leaf in jax.tree.leaves(bank))
     assert [leaf.shape for leaf in jax.tree.leaves(bank)] == [
@@ -102,7 +102,7 @@ def test_bank_is_whole(name: str):
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_nobody_sinks_in_or_floats(name: str):
+def test_settled_people_neither_penetrate_nor_float(name: str):
     bank = load_postures(name)
     for i in np.linspace(0, ROWS - 1, SAMPLE).astype(int):
         gap = bed_postures.clearances(bank.row(i))
@@ -113,7 +113,7 @@ def test_nobody_sinks_in_or_floats(name: str):
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_narrow_limits_clip_nothing(name: str):
+def test_settled_angles_are_within_limits(name: str):
     bank, spec, checked = load_postures(name), ALL_TASKS[name].human, 0
     for i in np.flatnonzero(bank.limit_scale < 1)[::11]:
         row = bank.row(i)
@@ -128,7 +128,7 @@ def test_narrow_limits_clip_nothing(name: str):
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_people_are_drawn_like_somebody_of_their_size_and_limits(name: str):
+def test_sampled_posture_has_similar_size_and_limits(name: str):
     bank = load_postures(name)
     human, pose = _drawn(name, Population(impairments=("none", "limits")), 256)
     rows = [int(np.abs(bank.angles - a).max(1).argmin()) for a in pose.angles]
@@ -148,7 +148,7 @@ def test_people_are_drawn_like_somebody_of_their_size_and_limits(name: str):
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_episodes_begin_with_people_borne_by_the_bed(name: str):
+def test_people_rest_on_the_bed_at_episode_start(name: str):
     humans = Population(impairments=("none", "limits", "weakness", "tremor"))
     humans, poses = _drawn(name, humans, 64)
     assert (humans.limit_scale < 1).sum() > 8
@@ -161,7 +161,7 @@ def test_episodes_begin_with_people_borne_by_the_bed(name: str):
         assert min(gap[x] for x in body.RIGHT_ARM_LINKS) <= bed_postures.MAX_GAP, (i, gap)
 
 
-def test_a_scene_is_built_with_somebody_of_full_limits():
+def test_scene_is_built_with_full_joint_limits():
     for name in TASKS:
         bank = load_postures(name)
         for sex in (0.0, 1.0):
@@ -170,7 +170,7 @@ def test_a_scene_is_built_with_somebody_of_full_limits():
             assert (bank.sex[row], bank.limit_scale[row]) == (sex, 1)
 
 
-def test_arms_lie_or_hang():
+def test_arms_lie_on_the_bed_or_hang_by_task():
     for i in range(0, ROWS, 37):
         lying, hanging = (load_postures(name) for name in TASKS)
         gap = bed_postures.clearances(lying.row(i))
@@ -195,7 +195,7 @@ def test_hanging_arm_is_at_rest_with_the_friction_and_gravity_of_the_task():
 
 @pytest.mark.parametrize("name", TASKS)
 @pytest.mark.parametrize("sex", [0, 1])
-def test_people_lie_as_the_reference_measured(name: str, sex: int):
+def test_settled_people_match_assistive_gym(name: str, sex: int):
     found = posture_report.statistics(load_postures(name), sex)
     for key, values in posture_report.AG[name].items():
         mean = found[key][0]
@@ -208,7 +208,7 @@ def test_people_lie_as_the_reference_measured(name: str, sex: int):
             assert abs(mean - values[sex]) < 20, (key, mean, values[sex])
 
 
-def test_self_collision_mask_is_the_reference_one():
+def test_self_collision_mask_matches_assistive_gym():
     # humans.md section 3, "Self-collision mask"
     assert bed_postures.may_collide("right_hand", "chest")
     assert bed_postures.may_collide("right_forearm", "left_hand")
@@ -223,13 +223,13 @@ def test_self_collision_mask_is_the_reference_one():
     assert not bed_postures.may_collide("head", "chest")
 
 
-def test_settling_is_the_same_for_the_same_seed():
+def test_settling_is_reproducible():
     banks = [bed_postures.build_bank("ArmManipulation", seed=5, each=1)[0] for _ in range(2)]
     for a, b in zip(*map(jax.tree.leaves, banks), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
-def test_a_bank_that_cannot_be_filled_says_so(monkeypatch: pytest.MonkeyPatch):
+def test_bank_without_accepted_falls_is_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(bed_postures, "settle", lambda *_: "fell off the bed")
     with pytest.raises(AgymError, match="fell off the bed"):
         bed_postures.build_bank("BedBathing", each=1)
@@ -258,7 +258,7 @@ def test_missing_and_damaged_banks_name_file_and_remedy(monkeypatch, tmp_path):
             bank(name)
 
 
-def test_bed_and_nightstand_and_tools_have_what_others_name():
+def test_bed_assets_have_the_names_that_tasks_use():
     bed = mujoco.MjModel.from_xml_path(str(asset_path(BED.model)))
     assert {*BED.geoms} <= {bed.geom(i).name for i in range(bed.ngeom)}
     assert (bed.geom_contype == 0).all()

@@ -47,7 +47,7 @@ def _c_pose(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, mujoco.MjData]:
     return pos, BASE_ROT.T @ data.site_xmat[SITE].reshape(3, 3), data
 
 
-def test_forward_and_jacobian_are_c_mujocos():
+def test_forward_kinematics_and_jacobian_equal_mujocos():
     angles = _angles(16)
     for q, pos, rot, jacobian in zip(angles, *map(np.asarray, forward(angles)), strict=True):
         c_pos, c_rot, data = _c_pose(q)
@@ -110,7 +110,7 @@ def test_inverse_without_weight_leaves_the_orientation_free():
     assert turn > 1.0
 
 
-def test_inverse_says_when_a_pose_is_out_of_reach():
+def test_inverse_reports_the_error_of_an_unreachable_pose():
     far = jnp.array([3.0, 0.0, 0.0])  # Jaco is 1 m long
     _, distance, _ = kinematics.inverse(CHAIN, jnp.asarray(_angles(1)[0]), far, jnp.eye(3), steps=5)
     assert distance > 1.5
@@ -125,7 +125,7 @@ def test_isotropy_falls_at_a_joint_limit():
     assert 0.0 <= bad < good <= 1.0
 
 
-def test_chain_refuses_a_site_of_something_else():
+def test_chain_refuses_a_site_of_another_body():
     chest = INDEX.human_body[INDEX.links.index("chest")]
     with pytest.raises(SpecError, match="does not hang on body"):
         kinematics.chain_of(MODEL, INDEX.robot_joint, INDEX.tools[0].tip, chest)
@@ -134,7 +134,7 @@ def test_chain_refuses_a_site_of_something_else():
         kinematics.chain_of(MODEL, joints, SITE, INDEX.robot_base)
 
 
-def test_every_row_of_the_bank_starts_where_assistive_gym_does():
+def test_every_bank_row_reaches_assistive_gyms_start():
     bank = placement.load_bank(TASK, ROBOT)
     assert len(bank.arm_angles) >= 512
     # robots.md section 7: Jaco beside the wheelchair
@@ -153,7 +153,7 @@ def test_every_row_of_the_bank_starts_where_assistive_gym_does():
     assert (high - low > 0.09).all()  # the box is filled
 
 
-def test_no_row_of_the_bank_touches_anything():
+def test_bank_rows_are_contact_free():
     for sex, model in enumerate((SCENE.model, SCENE.female)):
         typical = human_pose.typical(TASK.human, sex)
         pose = human_pose.start_angles(typical, SCENE.moving, 1.0, np)

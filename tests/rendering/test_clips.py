@@ -21,7 +21,7 @@ def film(n: int = 7, height: int = 48, width: int = 64) -> list[np.ndarray]:
     return list(frames)
 
 
-def test_gif_is_read_back(tmp_path):
+def test_gif_round_trip(tmp_path):
     frames = film()
     path = clips.write_clip(frames, tmp_path / "new" / "clip.gif", fps=20)
     with Image.open(path) as clip:
@@ -31,7 +31,7 @@ def test_gif_is_read_back(tmp_path):
     assert np.abs(last - frames[-1]).mean() < 3
 
 
-def test_gif_keeps_the_colour_of_small_things(tmp_path):
+def test_gif_preserves_the_colour_of_small_objects(tmp_path):
     shades = np.linspace(90, 220, 200 * 200).reshape(200, 200, 1)
     frame = (shades + np.array([0, 3, 9])).astype(np.uint8)
     frame[100:104, 100:104] = (250, 30, 30)
@@ -43,7 +43,7 @@ def test_gif_keeps_the_colour_of_small_things(tmp_path):
 
 
 @pytest.mark.parametrize("size", [(48, 64), (47, 63)])
-def test_mp4_is_read_back(tmp_path, size):
+def test_mp4_round_trip(tmp_path, size):
     frames = film(7, *size)
     path = clips.write_clip(frames, str(tmp_path / "clip.mp4"), fps=10)
     with warnings.catch_warnings():
@@ -61,13 +61,13 @@ def test_mp4_is_read_back(tmp_path, size):
     assert np.abs(close).mean() < 10
 
 
-def test_mp4_without_the_extra_says_what_to_install(tmp_path, monkeypatch):
+def test_mp4_without_the_extra_names_the_package(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(clips.MissingExtraError, match=r'gif.*pip install "agym_jax\[train\]"'):
         clips.write_clip(film(), tmp_path / "clip.mp4")
 
 
-def test_contact_sheet_is_read_back(tmp_path):
+def test_contact_sheet_round_trip(tmp_path):
     frames = film()
     path = clips.contact_sheet(frames, tmp_path / "sheet.png", columns=3, labels=list("abcdefg"))
     with Image.open(path) as sheet:
@@ -80,7 +80,7 @@ def test_contact_sheet_is_read_back(tmp_path):
 
 
 @pytest.mark.parametrize("write", [clips.write_clip, clips.contact_sheet])
-def test_unwritable_folder_is_refused_before_any_work(tmp_path, write):
+def test_unwritable_folder_is_refused_before_encoding(tmp_path, write):
     (tmp_path / "file").write_text("not a folder")
     suffix = ".gif" if write is clips.write_clip else ".png"
     never_read = iter(())  # the frames would fail too, later
@@ -91,7 +91,7 @@ def test_unwritable_folder_is_refused_before_any_work(tmp_path, write):
         write(never_read, tmp_path / f"is{suffix}")
 
 
-def test_unknown_suffix_names_the_known(tmp_path):
+def test_unknown_suffix_lists_known_ones(tmp_path):
     with pytest.raises(clips.OutputPathError, match=r"'.mp5'.*Did you mean '.mp4'.*\.gif, \.mp4"):
         clips.write_clip(film(), tmp_path / "clip.mp5")
 
@@ -104,6 +104,6 @@ def test_unknown_suffix_names_the_known(tmp_path):
         ([*film(2), np.zeros((4, 4, 3), np.uint8)], "Frame 2"),
     ],
 )
-def test_bad_frames_are_refused(tmp_path, frames, said):
+def test_invalid_frames_are_refused(tmp_path, frames, said):
     with pytest.raises(AgymError, match=said):
         clips.write_clip(frames, tmp_path / "clip.gif")

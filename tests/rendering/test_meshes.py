@@ -122,7 +122,7 @@ def seen(scene: mujoco.MjModel, link: str, mesh: bool) -> list[int]:
     return np.flatnonzero(drawn & ((scene.geom_dataid >= 0) == mesh)).tolist()
 
 
-def test_meshes_stand_where_the_kinematics_put_them(package: Path):
+def test_mesh_poses_follow_the_kinematics(package: Path):
     scene = shown(wearing(model(), part(pose=Pose((0.0, 0.0, 0.03)))))
     data = mujoco.MjData(scene)
     data.qpos[:3] = 0.4, 1.3, -0.7  # not the pose in which they were placed
@@ -148,7 +148,7 @@ def test_meshes_stand_where_the_kinematics_put_them(package: Path):
         np.testing.assert_allclose(size, HALF, atol=1e-6)
 
 
-def test_worn_links_hide_their_primitives_and_the_others_keep_theirs(package: Path):
+def test_only_links_with_meshes_hide_their_primitives(package: Path):
     plain, dressed = shown(JACO, "primitives"), shown(wearing(model(), part()))
     for link in (LINK_1, LINK_2, FINGER):
         assert seen(plain, link, mesh=False) and not seen(dressed, link, mesh=False)
@@ -157,7 +157,7 @@ def test_worn_links_hide_their_primitives_and_the_others_keep_theirs(package: Pa
         assert not seen(dressed, link, mesh=True)
 
 
-def test_paint_is_the_material_the_geom_or_what_the_robot_says(package: Path):
+def test_colour_comes_from_material_geom_or_robot(package: Path):
     orange, blue, red = (1.0, 0.5, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0), (0.9, 0.1, 0.1, 1.0)
 
     def paints(source: MeshModel) -> dict[str, Material]:
@@ -171,14 +171,14 @@ def test_paint_is_the_material_the_geom_or_what_the_robot_says(package: Path):
     assert paints(model("toy.urdf", colours={(0.0, 0.8, 0.0, 1.0): red})) == {LINK_1: Material(red)}
 
 
-def test_a_urdf_gives_the_same_place_as_an_mjcf(package: Path):
+def test_urdf_and_mjcf_give_the_same_poses(package: Path):
     one, other = (meshes.mesh_shapes(wearing(model(f)))[0] for f in ("toy.xml", "toy.urdf"))
     assert one.mesh == other.mesh and Path(one.mesh.file) == package / "shapes" / "cube.obj"
     np.testing.assert_allclose(one.pose.pos, other.pose.pos, atol=1e-6)
     assert abs(np.dot(one.pose.quat, other.pose.quat)) == pytest.approx(1.0)
 
 
-def test_only_what_is_seen_changes(package: Path):
+def test_meshes_change_visual_geoms_only(package: Path):
     plain, dressed = shown(JACO, "primitives"), shown(wearing(model(), part()))
     assert dressed.nmesh == 1 and plain.nmesh == 0
     for count in ("nq", "nv", "nu", "nbody", "njnt", "nsite", "npair", "nsensor", "neq"):
@@ -193,7 +193,7 @@ def test_only_what_is_seen_changes(package: Path):
     assert not dressed.geom_contype[felt].any() and not dressed.geom_conaffinity[felt].any()
 
 
-def test_the_simulated_model_is_the_same_byte_for_byte(package: Path):
+def test_simulated_model_is_unchanged_byte_for_byte(package: Path):
     def stored(robot: RobotSpec, visuals: str) -> bytes:
         scene = compose(TASK, robot, visuals=visuals)
         buffer = np.empty(mujoco.mj_sizeModel(scene), np.uint8)
@@ -204,7 +204,9 @@ def test_the_simulated_model_is_the_same_byte_for_byte(package: Path):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_missing_package_names_itself_and_the_command(name: str, monkeypatch: pytest.MonkeyPatch):
+def test_missing_package_is_named_with_the_install_command(
+    name: str, monkeypatch: pytest.MonkeyPatch
+):
     def absent(package: str) -> None:
         raise importlib.metadata.PackageNotFoundError(package)
 
@@ -221,7 +223,7 @@ def test_missing_package_names_itself_and_the_command(name: str, monkeypatch: py
             ask()
 
 
-def test_the_extra_lists_the_packages():
+def test_meshes_extra_lists_the_packages():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extra = {line.split(">")[0] for line in project["optional-dependencies"]["meshes"]}
     assert {source.package for robot in ROBOTS.values() for source in robot.meshes} == extra
@@ -235,12 +237,12 @@ def test_the_extra_lists_the_packages():
         lambda: gymnasium.make("ReachingJaco-v0", visuals="meshs"),
     ],
 )
-def test_unknown_looks_get_the_nearest(ask):
+def test_unknown_visuals_name_the_nearest_match(ask):
     with pytest.raises(UnknownNameError, match="Did you mean 'meshes'"):
         ask()
 
 
-def test_a_robot_without_meshes_says_so():
+def test_robot_without_meshes_is_refused():
     with pytest.raises(MeshError, match=r"No meshes are known for Jaco.*primitives"):
         shown(wearing())
 
@@ -253,18 +255,18 @@ def test_a_robot_without_meshes_says_so():
         ("0 0 -1", 0.0, "180.0 degrees"),
     ],
 )
-def test_joints_elsewhere_are_refused(package: Path, axis: str, anchor: float, said: str):
+def test_displaced_joints_are_refused(package: Path, axis: str, anchor: float, said: str):
     (package / "toy.xml").write_text(MJCF.format(axis=axis, anchor=anchor))
     with pytest.raises(MeshError, match=f"does not fit Jaco: its link '{LINK_1}' .*{said}"):
         shown(wearing(model()))
 
 
-def test_joints_a_little_off_are_accepted(package: Path):
+def test_joints_within_tolerance_are_accepted(package: Path):
     (package / "toy.xml").write_text(MJCF.format(axis="0 0.005 1", anchor=0.001))
     assert shown(wearing(model())).nmesh == 1
 
 
-def test_a_missing_joint_and_one_of_another_type_are_refused(package: Path):
+def test_missing_joints_and_other_joint_types_are_refused(package: Path):
     joint = '<joint name="two" axis="0 1 0" ref="0.3"/>'
     for other, said in (("", "0 joints, ours 1"), (joint.replace("/>", ' type="slide"/>'), "type")):
         text = MJCF.format(axis="0 0 1", anchor=0).replace(joint, other)
@@ -273,7 +275,7 @@ def test_a_missing_joint_and_one_of_another_type_are_refused(package: Path):
             shown(wearing(model()))
 
 
-def test_links_that_move_only_there_are_refused_unless_held(package: Path):
+def test_extra_joints_are_refused_unless_fixed(package: Path):
     text = MJCF.format(axis="0 0 1", anchor=0).replace(f'"{LINK_2}"', '"renamed"')
     (package / "toy.xml").write_text(text)
     with pytest.raises(MeshError, match="'bracket' moves by two, which Jaco lacks"):
@@ -282,7 +284,7 @@ def test_links_that_move_only_there_are_refused_unless_held(package: Path):
     assert {shape.link for shape in held} == {LINK_1}
 
 
-def test_meshes_off_every_link_are_refused(package: Path):
+def test_meshes_fixed_to_no_link_are_refused(package: Path):
     lost = '<worldbody><geom type="mesh" mesh="cube" contype="0" conaffinity="0"/>'
     text = MJCF.format(axis="0 0 1", anchor=0).replace("<worldbody>", lost)
     (package / "toy.xml").write_text(text)
@@ -290,7 +292,7 @@ def test_meshes_off_every_link_are_refused(package: Path):
         shown(wearing(model()))
 
 
-def test_joint_angles_of_the_other_model_are_taken_into_account(package: Path):
+def test_joint_angles_of_the_source_model_are_applied(package: Path):
     def place(angle: float) -> float:
         source = model("toy.urdf", angles={"one": angle})
         return meshes.mesh_shapes(wearing(source))[0].pose.pos[1]
@@ -309,12 +311,12 @@ def test_joint_angles_of_the_other_model_are_taken_into_account(package: Path):
         (model(angles={"three": 0.1}), "cannot be used"),
     ],
 )
-def test_sources_that_do_not_hold_say_why(package: Path, source, said: str):
+def test_invalid_sources_are_refused_with_the_reason(package: Path, source, said: str):
     with pytest.raises(MeshError, match=said):
         shown(wearing(source))
 
 
-def test_a_model_with_a_lost_or_unreadable_mesh_says_which(package: Path):
+def test_missing_or_unreadable_mesh_file_is_named(package: Path):
     text = MJCF.format(axis="0 0 1", anchor=0)
     for file, said in (("gone.obj", "not there.*gone.obj"), ("cube.dae", "cannot read .*cube.dae")):
         (package / "toy.xml").write_text(text.replace("cube.obj", file))
@@ -325,7 +327,7 @@ def test_a_model_with_a_lost_or_unreadable_mesh_says_which(package: Path):
         shown(wearing(model()))
 
 
-def test_rays_draw_meshes_too(package: Path):
+def test_raycast_draws_meshes(package: Path):
     cube = part(link="j2s7s300_link_7", pose=Pose((0.0, 0.0, -0.1)))
     scene = shown(wearing(dataclasses.replace(cube, rgba=(1.0, 0.0, 1.0, 1.0))))
     data = mujoco.MjData(scene)
@@ -342,7 +344,7 @@ def test_rays_draw_meshes_too(package: Path):
 
 
 @pytest.mark.jit
-def test_gymnasium_draws_them(package: Path, monkeypatch: pytest.MonkeyPatch, raycast: None):
+def test_gymnasium_renders_meshes(package: Path, monkeypatch: pytest.MonkeyPatch, raycast: None):
     everywhere = tuple(part(link=f"j2s7s300_link_{i}", rgba=(1, 0, 1, 1)) for i in range(1, 8))
     monkeypatch.setitem(ROBOTS, "Jaco", wearing(*everywhere))
     monkeypatch.setattr(adapter, "_programs", adapter._programs.__wrapped__)
@@ -358,7 +360,7 @@ def test_gymnasium_draws_them(package: Path, monkeypatch: pytest.MonkeyPatch, ra
     assert magenta["meshes"].sum() > 10 > magenta["primitives"].sum()
 
 
-def test_enjoy_asks_before_it_compiles_and_hands_looks_on(tmp_path: Path, capsys, monkeypatch):
+def test_enjoy_checks_visuals_before_compiling(tmp_path: Path, capsys, monkeypatch):
     class Dressed(FakeEnv):
         robot = JACO
         asked: str | None = None
@@ -376,5 +378,5 @@ def test_enjoy_asks_before_it_compiles_and_hands_looks_on(tmp_path: Path, capsys
     assert env.asked == "meshes"
 
 
-def test_errors_are_ours():
+def test_mesh_errors_are_agym_errors():
     assert issubclass(MeshError, AgymError) and issubclass(MissingExtraError, ImportError)

@@ -106,7 +106,7 @@ def away_from_edges(geoms: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("camera", ["front", "top"])
-def test_silhouettes_are_where_rays_hit_the_geoms(backend, camera):
+def test_silhouettes_match_ray_hits(backend, camera):
     model, data = scene()
     names = ("capsule", "ball", "box")  # painted red, green, blue; floor and sky are grey: -1
     ids = [model.geom(name).id for name in names]
@@ -126,21 +126,21 @@ def test_silhouettes_are_where_rays_hit_the_geoms(backend, camera):
         assert np.abs(shift).max() < 0.6
 
 
-def test_picture_is_uint8_of_the_asked_size(backend):
+def test_image_is_uint8_of_the_requested_size(backend):
     model, data = scene()
     image = shot(model, data, backend)
     assert image.shape == (HEIGHT, WIDTH, 3) and image.dtype == np.uint8
     assert image.std() > 10
 
 
-def test_large_pictures_need_no_framebuffer_in_the_model(backend):
+def test_large_images_need_no_framebuffer_in_the_model(backend):
     model, data = scene()
     assert model.vis.global_.offwidth < 800
     with Renderer(model, 800, 40, backend=backend) as renderer:
         assert renderer.render(data).shape == (40, 800, 3)
 
 
-def test_marker_is_seen_where_it_is(backend):
+def test_marker_is_drawn_at_its_position(backend):
     model, data = scene()
     green = Marker(pos=(0.3, 0.0, 1.0), radius=0.05, rgba=(0, 1, 0, 1))
     image = shot(model, data, backend, markers=[green]).astype(int)
@@ -153,7 +153,7 @@ def test_marker_is_seen_where_it_is(backend):
     assert not (plain[..., 1] > plain[..., 0] + 60).any(), "a marker is drawn once only"
 
 
-def test_many_markers_fit(backend):
+def test_many_markers_are_drawn(backend):
     model, data = scene()
     rng = np.random.default_rng(0)
     spots = rng.uniform((-0.5, -0.5, 0.2), (0.5, 0.5, 1.2), (150, 3))
@@ -182,7 +182,7 @@ def test_faint_geoms_are_not_drawn_by_rays():
 
 
 @pytest.mark.parametrize("name", ["ball", "capsule", "box"])
-def test_sizes_written_between_pictures_show(backend, name):
+def test_sizes_written_between_images_are_drawn(backend, name):
     model, data = scene()
     with Renderer(model, WIDTH, HEIGHT, backend=backend) as renderer:
         before = blue(renderer.render(data))
@@ -207,7 +207,7 @@ def test_objects_cast_shadows_on_the_floor():
     assert 0.01 < darker.mean() < 0.3
 
 
-def test_translucent_geoms_let_what_is_behind_through():
+def test_translucent_geoms_show_what_is_behind():
     model, data = scene()
     ball = model.geom("ball")
     ball.rgba[:] = (1, 0, 0, 1)
@@ -219,7 +219,7 @@ def test_translucent_geoms_let_what_is_behind_through():
     assert (half[here][:, 2] > full[here][:, 2] + 30).mean() > 0.9
 
 
-def test_unknown_camera_names_the_nearest():
+def test_unknown_camera_names_the_nearest_match():
     model, _ = scene()
     with pytest.raises(render.UnknownCameraError, match=r"Did you mean 'front'.*front, top") as e:
         Renderer(model, camera="frnt", backend="raycast")
@@ -228,7 +228,7 @@ def test_unknown_camera_names_the_nearest():
         Renderer(model, camera=7, backend="raycast")
 
 
-def test_free_camera_sees_the_scene():
+def test_free_camera_shows_the_scene():
     model, data = scene()
     assert blue(shot(model, data, camera=-1)).any()
 
@@ -237,7 +237,7 @@ def no_library(*_):
     raise render.RenderBackendError("egl: pretended to be missing")
 
 
-def test_auto_falls_back_to_rays_and_says_once_what_to_install(monkeypatch):
+def test_auto_falls_back_to_raycast_and_warns_once(monkeypatch):
     monkeypatch.setattr(render, "_open_context", no_library)
     monkeypatch.setattr(render._Process, "warned", False)
     model, data = scene()
@@ -251,14 +251,14 @@ def test_auto_falls_back_to_rays_and_says_once_what_to_install(monkeypatch):
         assert Renderer(model, 32, 24).backend == "raycast"
 
 
-def test_gl_that_cannot_be_had_is_an_error_with_the_package(monkeypatch):
+def test_unavailable_gl_is_an_error_that_names_the_package(monkeypatch):
     monkeypatch.setattr(render, "_open_context", no_library)
     model, _ = scene()
     with pytest.raises(render.RenderBackendError, match=r"libegl1.*raycast"):
         Renderer(model, backend="gl")
 
 
-def test_failed_library_leaves_no_trace(monkeypatch):
+def test_failed_gl_library_is_unloaded(monkeypatch):
     def fail():
         raise OSError("no EGL here")
 
@@ -270,7 +270,7 @@ def test_failed_library_leaves_no_trace(monkeypatch):
     assert "PYOPENGL_PLATFORM" not in render.os.environ
 
 
-def test_environment_variable_picks_the_backend(monkeypatch):
+def test_environment_variable_overrides_the_backend(monkeypatch):
     model, _ = scene()
     monkeypatch.setenv("AGYM_JAX_RENDER", "raycast")
     assert Renderer(model, 32, 24, backend="gl").backend == "raycast"
@@ -279,7 +279,7 @@ def test_environment_variable_picks_the_backend(monkeypatch):
         Renderer(model)
 
 
-def test_closed_renderer_says_so():
+def test_closed_renderer_refuses_to_render():
     model, data = scene()
     renderer = Renderer(model, 32, 24, backend="raycast")
     renderer.close()

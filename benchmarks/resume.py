@@ -52,7 +52,13 @@ def start(config: ResumeConfig, seed: int, folder: Path) -> subprocess.Popen:
     """Start training in another process; what it says goes to a file in ``folder``."""
     flags = {"impl": config.impl, "num-env-steps": config.num_env_steps, "seed": seed, "save-dir": folder}  # fmt: skip
     words = [word for name, value in flags.items() for word in (f"--{name}", str(value))]
-    command = [sys.executable, "-m", "agym_jax", *train_command(config.env_name).split()[1:], *words]
+    command = [
+        sys.executable,
+        "-m",
+        "agym_jax",
+        *train_command(config.env_name).split()[1:],
+        *words,
+    ]
     folder.mkdir(exist_ok=True)
     with (folder / "said.txt").open("a") as said:
         return subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT)

@@ -163,7 +163,7 @@ class Dressing:
     human_obs: type = HumanObs
 
     def prepare(self) -> None:
-        """Load the garment and weave it, when a scene is built rather than when the task is imported.
+        """Load the garment and build its tables, when a scene is built rather than when the task is imported.
 
         Raises:
             GarmentError: it could not be worn or simulated; with the edge, triangle or loop that is wrong.

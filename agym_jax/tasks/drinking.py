@@ -77,7 +77,7 @@ CUP = ToolSpec(
     n_working=6,
 )
 INSIDE = Pose((0.0, 0.0, 0.0), (_H, -_H, 0.0, 0.0))
-"""The frame of ``matter.vessels.CUP`` in the tool's."""
+"""The frame of ``matter.particles.containers.CUP`` in the tool's."""
 
 
 @dataclass(frozen=True)

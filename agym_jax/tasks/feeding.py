@@ -81,7 +81,7 @@ SPOON = ToolSpec(
     n_working=3,
 )  # fmt: skip
 DISH = Pose(SPOON_ORIGIN_IN_AG, (_H, -_H, 0.0, 0.0))
-"""The frame of ``matter.vessels.SPOON`` in the tool's."""
+"""The frame of ``matter.particles.containers.SPOON`` in the tool's."""
 
 
 @dataclass(frozen=True)

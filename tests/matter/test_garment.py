@@ -122,7 +122,7 @@ def test_custom_garment_loads_from_obj_and_toml(tmp_path: Path):
 
 
 def test_garment_is_loaded_when_the_scene_is_built(tmp_path: Path):
-    """So a bad one is refused before anything is compiled, and importing the task weaves nothing."""
+    """An invalid one is refused before anything is compiled, and importing the task loads nothing."""
     path = write_obj(tmp_path, SQUARE)
     good = Dressing(garment=str(path))
     assert not {"gown", "spec", "watched"} & set(vars(good))
@@ -136,7 +136,7 @@ def test_garment_is_loaded_when_the_scene_is_built(tmp_path: Path):
 
 def test_garment_loaded_inside_a_jitted_function_is_concrete(tmp_path: Path):
     task = Dressing(garment=str(write_obj(tmp_path, SQUARE)))
-    mass = jax.jit(lambda x: x + task.spec.garment.mass)(0.0)  # weaves, and lets it hang
+    mass = jax.jit(lambda x: x + task.spec.garment.mass)(0.0)  # loads it, and lets it settle
     assert isinstance(task.gown.hanging, np.ndarray)
     assert np.isclose(mass, task.gown.mass)
 

@@ -68,7 +68,7 @@ class LearnConfig:
 
     num_envs: Annotated[Count, tyro.conf.arg(aliases=["--num-processes"])] = 0
     """Environments simulated side by side; 0 = 64 on a CPU, and on an accelerator 4096, or what suits
-    the task (WORLDS)."""
+    the task (NUM_ENVS)."""
     num_steps: Count = 20
     """Steps of each environment in one update."""
     ppo_epoch: Count = 4

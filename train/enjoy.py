@@ -139,7 +139,7 @@ def film(env: Any, frames: Sequence[Frame], config: EnjoyConfig) -> list[Any]:
 
 
 def watch(env: Any, frames: Iterator[Frame], visuals: str) -> list[Frame]:
-    """Show an episode in MuJoCo's viewer at the speed of life; returns its frames.
+    """Show an episode in MuJoCo's viewer in real time; returns its frames.
 
     Raises:
         ConfigError: the viewer does not open, as on a machine without a screen.

@@ -340,7 +340,7 @@ class Privileged(Protocol):
         ...
 
     def privileged_obs(self, state: Any) -> jax.Array:
-        """What nobody observes; for value functions, in training only (hidden_size,)."""
+        """What nobody observes; for value functions, in training only (privileged_obs_size,)."""
         ...
 
 

@@ -211,7 +211,7 @@ class BedBathing:
         return 2
 
     def privileged_obs(self, state: BathState) -> Array:
-        """Shares of upper arm and forearm that are still to be wiped (hidden_size,)."""
+        """Shares of upper arm and forearm that are still to be wiped (privileged_obs_size,)."""
         return jnp.sum(state.dirty, 1) / jnp.maximum(jnp.sum(state.exists, 1), 1.0)
 
     def success(self, state: BathState) -> Array:

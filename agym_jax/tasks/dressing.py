@@ -297,7 +297,7 @@ class Dressing:
         return 10
 
     def privileged_obs(self, state: DressState) -> Array:
-        """What the sleeve is on, how far, and where its opening is from what is held (hidden_size,)."""
+        """What the sleeve is on, how far, and where its opening is from what is held (privileged_obs_size,)."""
         on, pos = state.on_arm, state.cloth.pos_w
         flags = [on.forearm, on.upper_arm, on.steps_off / sleeve.MEMORY_STEPS, state.dressed]
         off = pos[self.watched].mean((0, 1)) - pos[self.spec.garment.anchors].mean(0)

@@ -186,7 +186,7 @@ class Drinking:
         return meals.PRIVILEGED_OBS_SIZE
 
     def privileged_obs(self, state: DrinkState) -> Array:
-        """How much water is left and where (hidden_size,)."""
+        """How much water is left and where (privileged_obs_size,)."""
         return meals.privileged_obs(state.water, state.drunk, state.mouth_pos_w)
 
     def success(self, state: DrinkState) -> Array:

@@ -182,7 +182,7 @@ class Feeding:
         return meals.PRIVILEGED_OBS_SIZE
 
     def privileged_obs(self, state: FeedState) -> Array:
-        """How much food is left and where (hidden_size,)."""
+        """How much food is left and where (privileged_obs_size,)."""
         return meals.privileged_obs(state.food, state.eaten, state.mouth_pos_w)
 
     def success(self, state: FeedState) -> Array:

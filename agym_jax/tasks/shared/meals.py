@@ -153,7 +153,7 @@ PRIVILEGED_OBS_SIZE = 5
 
 
 def privileged_obs(matter: Particles, eaten: Array, mouth_pos_w: Array) -> Array:
-    """What is left and where: what rewards to come depend on and nobody observes (HIDDEN_SIZE,).
+    """What is left and where: what rewards to come depend on and nobody observes (PRIVILEGED_OBS_SIZE,).
 
     Args:
         matter: food or water.

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from brax import envs as brax_envs
 from brax.envs.wrappers import training as brax_wrappers
-from conftest import BATCH, STATIC, CompiledBatch, Rollout, roll
+from compiled import BATCH, STATIC, CompiledBatch, Rollout, roll
 from products import full
 
 import agym_jax
@@ -45,14 +45,16 @@ def _avals(tree: Any) -> list:
 
 
 # every task with a still and an active person, every robot; the rest of the product is data
-TRACED = (
-    STATIC, "ScratchItchPR2Human-v0", "BedBathingBaxter-v0", "BedBathingJacoHuman-v0",
-    "ArmManipulationPR2-v0", "ArmManipulationSawyerHuman-v0", "ReachingSawyer-v0",
+TRACED = (STATIC, "BedBathingBaxter-v0", "ArmManipulationSawyerHuman-v0")
+TRACED_SLOWLY = (
+    "ScratchItchPR2Human-v0", "BedBathingJacoHuman-v0", "ArmManipulationPR2-v0", "ReachingSawyer-v0",
     "ReachingBaxterHuman-v0",
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", TRACED)
+@pytest.mark.parametrize(
+    "name", [*TRACED, *(pytest.param(x, marks=pytest.mark.slow) for x in TRACED_SLOWLY)]
+)
 def test_step_returns_exactly_what_reset_returns(name: str, batch: CompiledBatch):
     if name == STATIC:  # traced for the tests below anyway
         env, reset, step = batch.env, batch.reset, batch.step

@@ -173,6 +173,7 @@ def test_broken_physics_terminates(physics: str, request: pytest.FixtureRequest)
 
 
 @pytest.mark.jit
+@pytest.mark.slow
 def test_one_environment_is_c_mujocos_on_a_cpu_and_the_same_as_mjxs(
     env: gymnasium.Env, on_mjx: gymnasium.Env
 ):

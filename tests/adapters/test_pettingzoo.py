@@ -89,11 +89,11 @@ def test_a_picture(env, raycast):
 def test_wrong_actions_are_refused_by_name(env):
     env.reset(seed=1)
     actions = still(env)
-    with pytest.raises(ActionError, match="each of robot, person, got those of: robot"):
+    with pytest.raises(ActionError, match="each of robot, human, got those of: robot"):
         env.step({"robot": actions["robot"]})
-    with pytest.raises(ActionError, match="got those of: robot, person, dog"):
+    with pytest.raises(ActionError, match="got those of: robot, human, dog"):
         env.step({**actions, "dog": actions["robot"]})
-    with pytest.raises(ActionError, match=rf"The person of {NAME} takes .*\(10,\), got \(7,\)"):
+    with pytest.raises(ActionError, match=rf"The human of {NAME} takes .*\(10,\), got \(7,\)"):
         env.step({**actions, "human": actions["robot"]})
     with pytest.raises(ActionError, match="finite"):
         env.step({**actions, "human": np.full(10, np.nan)})

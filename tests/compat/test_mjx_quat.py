@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import BATCH
+from compiled import BATCH
 from mujoco import mjx
 from mujoco.mjx._src import math as mjx_math
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import ACTIVE, BATCH, STATIC, CompiledBatch
+from compiled import ACTIVE, BATCH, STATIC, CompiledBatch
 from test_parity import APPROACH, PRESS, WATCHED, one, press_goals
 
 import agym_jax
@@ -103,7 +103,13 @@ def test_every_step_of_a_pressing_robot_is_mjxs(native: agym_jax.Env, batch: Com
 # two arms, a bed, an active person, and one with a welded body
 @pytest.mark.jit
 @pytest.mark.parametrize(
-    "name", ["BedBathingSawyer-v0", "ArmManipulationBaxter-v0", ACTIVE, "ReachingPR2-v0"]
+    "name",
+    [
+        "BedBathingSawyer-v0",
+        ACTIVE,
+        pytest.param("ArmManipulationBaxter-v0", marks=pytest.mark.slow),
+        pytest.param("ReachingPR2-v0", marks=pytest.mark.slow),
+    ],
 )
 def test_every_kind_of_environment_begins_as_in_mjx_and_steps(name: str):
     env, mjx = agym_jax.make(name, impl="native"), agym_jax.make(name, impl="jax")

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from conftest import BATCH, CompiledBatch, Rollout, compiled_human
+from compiled import BATCH, CompiledBatch, Rollout, compiled_human
 
 from agym_jax.human.body import RIGHT_ARM_LINKS
 from agym_jax.human.population import Population, sample_human

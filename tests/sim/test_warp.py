@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from conftest import compiled_human
+from compiled import compiled_human
 
 import agym_jax
 from agym_jax.compat import warp_kernels

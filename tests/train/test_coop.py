@@ -272,6 +272,7 @@ def test_a_frozen_agent_acts_by_its_mode(trained):
     assert np.allclose(action[:, 1:], human, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_robot_can_start_from_what_it_learned_with_a_person_who_holds_still(tmp_path):
     settings = dataclasses.asdict(SMALL)
     same = {f.name: settings[f.name] for f in dataclasses.fields(PPOConfig) if f.name in settings}

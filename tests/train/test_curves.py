@@ -62,6 +62,7 @@ def test_a_fixed_seed_gives_the_curve_it_always_gave(case: str):
     recorded = CURVES[case]
     assert found.keys() == recorded.keys()
     for name, values in recorded.items():
-        # bit-identical on the machine that recorded them; another CPU may round differently
+        # bit-identical on the machine that recorded them; with the vector units of other CPUs (tried:
+        # --xla_cpu_max_isa=SSE4_2 and AVX2) means of terms of size 1, as losses are, differ by 1.4e-6
         ours, theirs = (np.array(x, float) for x in (found[name], values))
-        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-7, err_msg=name)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5, err_msg=name)

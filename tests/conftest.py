@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Iterator
+from typing import Any
 
 import jax
 import numpy as np
 import pytest
 from compiled import ACTIVE, BATCH, STATIC, CompiledBatch, Rollout, compile_batch, roll
-from groups import arrange
+from groups import arrange, scheduler
 
 import agym_jax
 from agym_jax.jax_settings import enable_compilation_cache
@@ -24,10 +25,15 @@ def pytest_configure(config: pytest.Config) -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist reads the marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Groups for ``--dist loadgroup``."""
+    """The longest groups of tests come first."""
     arrange(items)
+
+
+@pytest.hookimpl(optionalhook=True)  # of pytest-xdist
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """``--dist loadgroup`` hands out our groups."""
+    return scheduler(config, log) if config.getoption("dist") == "loadgroup" else None
 
 
 @pytest.fixture(scope="session")

@@ -1,38 +1,63 @@
 """Which tests run on one worker, and in which order: those that share what takes long to compile.
 
-Without a word the tests of a file are a group. Where tests of several files share a compiled environment, they are
-one group; where the parts of a file share nothing, ``@pytest.mark.xdist_group`` makes groups of them.
+The tests of a file are a group, unless ``GROUPS`` says otherwise. The longest groups begin first, so that workers end
+together. Done by a scheduler of our own, as pytest-xdist 3.8 overlooks ``xdist_group`` marks with pytest 9.2 and says
+nothing.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
-SHARED = {"batch": "compiled environment", "rollout": "compiled environment"}
-"""Session fixtures that compile an environment, and the group of the tests that use one."""
+COMPILED = "compiled environment"
+GROUPS = {
+    "tests/test_env.py": COMPILED,
+    "tests/sim/test_parity.py": COMPILED,
+    "tests/sim/test_c_mujoco.py::test_the_same_key_begins_the_same_episode_as_in_mjx": COMPILED,
+    "tests/sim/test_c_mujoco.py::test_every_step_of_a_pressing_robot_is_mjxs": COMPILED,
+}
+"""File, or file::test -> group."""
+SHARED = {"batch": COMPILED, "rollout": COMPILED}
+"""Fixtures that compile an environment -> group that their tests must be in."""
 SECONDS = {
-    "compiled environment": 150, "tests/train/test_coop.py": 120, "tests/sim/test_c_mujoco.py": 90,
+    COMPILED: 150, "tests/train/test_coop.py": 120, "tests/sim/test_c_mujoco.py": 90,
     "tests/tasks/test_dressing.py": 60, "tests/matter/test_cloth_kernel.py": 50,
     "tests/offline/test_base_search.py": 50, "tests/tasks/test_meals.py": 40,
     "tests/matter/test_containers.py": 35, "tests/train/test_ppo.py": 30,
     "tests/matter/test_cloth.py": 30, "tests/matter/test_particles.py": 30,
 }  # fmt: skip
-"""What the longest groups take, roughly (2 cores, cold cache): these begin first, so that workers end together."""
+"""What the longest groups take, roughly (2 cores, cold cache)."""
 
 
-def group_of(item: pytest.Item) -> str:
-    """The group that a test belongs to."""
-    for fixture in getattr(item, "fixturenames", ()):
-        if fixture in SHARED:
-            return SHARED[fixture]
-    mark = item.get_closest_marker("xdist_group")
-    return mark.args[0] if mark else item.nodeid.split("::")[0]
+def group_of(nodeid: str) -> str:
+    """The group of a test."""
+    path, _, test = nodeid.partition("::")
+    name = test.partition("[")[0]
+    return GROUPS.get(f"{path}::{name}") or GROUPS.get(path, path)
 
 
 def arrange(items: list[pytest.Item]) -> None:
-    """Mark every test with its group, and put the longest groups first."""
-    groups = [group_of(item) for item in items]
-    for item, group in zip(items, groups, strict=True):
-        item.add_marker(pytest.mark.xdist_group(group), append=False)
-    longest = dict(zip(items, groups, strict=True))
-    items.sort(key=lambda item: -SECONDS.get(longest[item], 0))
+    """Put the longest groups first.
+
+    Raises:
+        pytest.UsageError: a test would compile an environment again that another group has.
+    """
+    for item in items:
+        for group in {SHARED[x] for x in getattr(item, "fixturenames", ()) if x in SHARED}:
+            if group_of(item.nodeid) != group:
+                raise pytest.UsageError(f"{item.nodeid} belongs into {group!r}, see {__file__}")
+    items.sort(key=lambda item: -SECONDS.get(group_of(item.nodeid), 0))
+
+
+def scheduler(config: pytest.Config, log: Any) -> Any:
+    """A scheduler of pytest-xdist that hands out groups, in the order of their first tests."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Groups(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return group_of(nodeid)
+
+    config.option.loadscopereorder = False
+    return Groups(config, log)

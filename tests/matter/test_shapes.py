@@ -26,13 +26,12 @@ from agym_jax.matter.shapes import (
     no_capsules,
 )
 
-RNG = np.random.default_rng(0)
 VESSELS = pytest.mark.parametrize("vessel", [CUP, SPOON], ids=["cup", "spoon"])
 
 
 def cloud(centre: Any, half: Any, n: int = 150) -> np.ndarray:
     """Points in a box [m] (n, 3)."""
-    return RNG.uniform(-1, 1, (n, 3)) * half + centre
+    return np.random.default_rng(0).uniform(-1, 1, (n, 3)) * half + centre
 
 
 def xyz(points: np.ndarray) -> tuple[jax.Array, jax.Array, jax.Array]:

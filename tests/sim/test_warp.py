@@ -144,6 +144,7 @@ def test_a_step_compiles_nothing_that_was_not_foreseen(warp_model):
     foreseen = warp_kernels.launched(model, *LIMITS, put.opt.warn_overflow)
     assert len(foreseen) > 20
     warp_kernels.compile_kernels(model, *LIMITS, put.opt.warn_overflow)
+    warp_kernels.wait_for_kernels()
     assert all(module.execs for module, _ in foreseen)
     data = mujoco_warp.make_data(model, 2, naconmax=2 * LIMITS[1], njmax=LIMITS[0])
     loaded = []

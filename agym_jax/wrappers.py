@@ -89,9 +89,17 @@ class VectorEnv:
 
         Args:
             state: of the batch.
-            key: PRNG key.
+            key: PRNG key, or several (n, 2) for as many equal parts of the batch.
         """
-        step = jax.random.randint(key, (self.num_envs,), 0, self.episode_length, jnp.int32)
+
+        def draw(key: Array, count: int) -> Array:
+            return jax.random.randint(key, (count,), 0, self.episode_length, jnp.int32)
+
+        if key.ndim == 1:
+            step = draw(key, self.num_envs)
+        else:
+            each = self.num_envs // len(key)
+            step = jax.vmap(lambda one: draw(one, each))(key).reshape(-1)
         return state.replace(episode=dataclasses.replace(state.episode, step=step))
 
 

@@ -57,6 +57,9 @@ class LearnConfig:
     """Folder of the results; each environment gets its own folder in it. None writes nothing."""
     seed: int = 1
     """Seed of the networks, the environments and the exploration."""
+    num_seeds: Count = 1
+    """Independent trainings side by side, with the seeds seed, seed + 1, ...; num_envs and num_env_steps are
+    those of each. Their policies and curves are in folders seed_1, seed_2, ... of the run."""
     impl: str = "auto"
     """Physics: "jax", "warp", or "auto" (Warp on an NVIDIA GPU where it is installed)."""
     devices: Count = 0
@@ -140,7 +143,7 @@ class LearnConfig:
         Raises:
             ConfigError: names the field, its value and what is allowed.
         """
-        for name in ("num_env_steps", "num_steps", "ppo_epoch", "num_mini_batch"):
+        for name in ("num_env_steps", "num_steps", "ppo_epoch", "num_mini_batch", "num_seeds"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
         for name in ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std"):

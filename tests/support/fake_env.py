@@ -156,7 +156,8 @@ class FakeVectorEnv:
 
     def reset(self, key: jax.Array) -> FakeState:
         """First states."""
-        state = jax.vmap(self.env.reset)(jax.random.split(key, self.num_envs))
+        keys = jax.random.split(key, self.num_envs) if key.ndim == 1 else key
+        state = jax.vmap(self.env.reset)(keys)
         return self._observed(state, state, jnp.zeros(self.num_envs))
 
     def _observed(self, state: FakeState, last: FakeState, truncation: jax.Array) -> FakeState:
@@ -170,7 +171,11 @@ class FakeVectorEnv:
 
     def stagger(self, state: FakeState, key: jax.Array) -> FakeState:
         """Spread the environments over the phases of an episode."""
-        time = jax.random.randint(key, (self.num_envs,), 0, self.env.episode_length)
+        keys = key.reshape(-1, 2)  # one, or that of each seed
+        draw = lambda key: jax.random.randint(  # noqa: E731
+            key, (self.num_envs // len(keys),), 0, self.env.episode_length
+        )
+        time = draw(key) if key.ndim == 1 else jax.vmap(draw)(keys).reshape(-1)
         return state.replace(time=time.astype(jnp.float32))
 
     def step(self, state: FakeState, action: jax.Array) -> FakeState:

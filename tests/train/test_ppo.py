@@ -21,7 +21,7 @@ from train.evaluate import Evaluator
 from train.learning.agents import Agents
 from train.ppo import main, train
 from train.runs.checkpoint import checkpoint_files, load_newest
-from train.runs.curve import check_row, make_row
+from train.runs.curve import make_row, refuse_diverged
 from train.runs.result import summary
 
 CONFIG = PPOConfig(
@@ -197,7 +197,7 @@ def test_a_loss_that_is_not_finite_stops_the_run():
     assert row["force/on_human"] == 2.0
     row = make_row({**totals, "loss/kl": np.nan}, 2, 4, 20) | {"env_steps": 80, "nan_total": 0}
     with pytest.raises(DivergedError, match=r"before step 80: loss/kl not finite.*--lr"):
-        check_row(row, "FakeReach-v0", 4)
+        refuse_diverged(row, "FakeReach-v0")
 
 
 def test_an_active_human_is_refused_with_the_reason():

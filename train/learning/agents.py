@@ -113,6 +113,7 @@ class Agents:
     Attributes:
         trainer: the command that trains so, as in files and messages.
         losses: names of the scalars that ``learn`` returns.
+        axes: the leading axes of the learner: none, see ``train.learning.seeds``.
 
     Raises:
         PolicyNotFoundError: there is no such file to start from.
@@ -126,6 +127,7 @@ class Agents:
         self.trainer = "ppo" if len(names) == 1 else "coop"
         learning = [agent.name for agent in self.agents if not agent.frozen]
         self.losses = tuple(self._loss(name, loss) for name in learning for loss in LOSSES)
+        self.axes: tuple[int, ...] = ()
 
     def init(self, key: jax.Array) -> LearnerState:
         """Agents that have seen nothing, but for the policies that they start from."""
@@ -196,6 +198,14 @@ class Agents:
             )
             losses |= {self._loss(agent.name, name): value for name, value in scalars.items()}
         return replace(learner, agents=states), losses
+
+    def hyper(self, total_steps: float) -> Hyper:
+        """The hyper-parameters of a run of so many environment steps."""
+        return Hyper.of(self.config, total_steps)
+
+    def of_seeds(self, learner: LearnerState) -> list[LearnerState]:
+        """The learner of each seed: here of the only one."""
+        return [learner]
 
     def policies(self, learner: LearnerState, info: Mapping[str, Any]) -> dict[str, Policy]:
         """The present policies by agent; a frozen one as it came.

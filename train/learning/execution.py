@@ -67,11 +67,16 @@ class StepwiseEnv:
 
     def __init__(self, venv: Any) -> None:
         self.venv, self.num_envs = venv, venv.num_envs
-        reset = jax.jit(lambda key: strong(venv.reset(key))).lower(jax.random.PRNGKey(0))
+        keys = jax.random.split(jax.random.PRNGKey(0), venv.num_envs)
+        reset = jax.jit(lambda keys: strong(venv.reset(keys))).lower(keys)
         action = jax.ShapeDtypeStruct((venv.num_envs, venv.action_size), jnp.float32)
         state = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), reset.out_info)
         step = jax.jit(lambda state, action: strong(venv.step(state, action))).lower(state, action)
-        self.step, self.reset = compile_together(step, reset)
+        self.step, self._reset = compile_together(step, reset)
+
+    def reset(self, key: jax.Array) -> Any:
+        """A batch of fresh episodes, from one key or one for each environment."""
+        return self._reset(jax.random.split(key, self.num_envs) if key.ndim == 1 else key)
 
     def vectorize(self, num_envs: int) -> StepwiseEnv:
         """Itself: the batch size is compiled in.

@@ -37,7 +37,7 @@ LOSSES = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction", "noise_
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Hyper:
-    """Hyper-parameters that are arguments of the compiled update, each float32 (): others compile nothing anew."""
+    """Hyper-parameters that are arguments of the compiled update, each float32, () or (seeds,): others compile nothing anew."""
 
     lr: Any
     lr_decays: Any  # 1: the learning rate falls to 0 over the run
@@ -53,6 +53,7 @@ class Hyper:
     max_grad_norm: Any
     eps: Any
     reward_scaling: Any
+    learns: Any  # 0: one of several trainings that has been stopped
 
     @classmethod
     def of(cls, config: LearnConfig, total_steps: float) -> Hyper:
@@ -78,6 +79,7 @@ class Hyper:
             "max_grad_norm": config.max_grad_norm,
             "eps": config.eps,
             "reward_scaling": config.reward_scaling,
+            "learns": 1.0,
         }
         return cls(**{name: np.float32(value) for name, value in values.items()})
 

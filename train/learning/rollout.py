@@ -63,16 +63,31 @@ def critic_obs(env_state: Any) -> jax.Array:
     return with_privileged(env_state.obs, env_state.privileged_obs)
 
 
+def split_keys(keys: jax.Array, count: int = 2) -> jax.Array:
+    """New keys: of one key (count, 2), or of the key of each seed (count, seeds, 2)."""
+    if keys.ndim == 1:
+        return jax.random.split(keys, count)
+    return jax.vmap(lambda key: jax.random.split(key, count), out_axes=1)(keys)
+
+
+def fold_in(keys: jax.Array, index: Any) -> jax.Array:
+    """``jax.random.fold_in`` of one key (2,), or of the key of each seed (seeds, 2)."""
+    return jnp.vectorize(jax.random.fold_in, excluded=(1,), signature="(k)->(k)")(keys, index)
+
+
 def init_rollout(venv: Any, key: jax.Array, stagger: bool) -> RolloutState:
     """Reset all environments.
 
     Args:
         venv: vectorised environment; if it has ``stagger(state, key) -> state``, that spreads the
             environments over the phases of an episode.
-        key: random key.
+        key: random key, or that of each seed (seeds, 2); the environments of a seed follow from its key.
         stagger: whether to use it.
     """
-    key_reset, key_stagger = jax.random.split(key)
+    key_reset, key_stagger = split_keys(key)
+    if key.ndim > 1:
+        each = split_keys(key_reset, venv.num_envs // len(key))
+        key_reset = jnp.moveaxis(each, 0, 1).reshape(venv.num_envs, -1)
     state = venv.reset(key_reset)
     zeros = jnp.zeros(venv.num_envs, jnp.float32)
     staggered = stagger and hasattr(venv, "stagger")
@@ -82,12 +97,17 @@ def init_rollout(venv: Any, key: jax.Array, stagger: bool) -> RolloutState:
     return RolloutState(strong(state), zeros, zeros, zeros, zeros, counted)
 
 
-def zero_totals(env_state: Any) -> Totals:
-    """Totals of nothing, with the keys that ``collect`` adds to."""
+def zero_totals(env_state: Any, axes: tuple[int, ...] = ()) -> Totals:
+    """Totals of nothing, with the keys that ``collect`` adds to; ``axes`` is (seeds,) if there are several."""
     names = [f"episode/{name}" for name in EPISODE_TOTALS]
     names += ["step/reward", "step/nan", "step/overflow"]
     names += [f"step/{name}" for name in env_state.metrics if "/" in name]
-    return {name: jnp.zeros((), jnp.float32) for name in names}
+    return {name: jnp.zeros(axes, jnp.float32) for name in names}
+
+
+def _per_env(value: Any, num_envs: int) -> Any:
+    """What holds for all environments (), or for those of each seed (seeds,), as what multiplies (B,)."""
+    return value if jnp.ndim(value) == 0 else jnp.repeat(value, num_envs // len(value))
 
 
 def record_step(
@@ -107,16 +127,16 @@ def record_step(
         raw_action: of the step    (B, action).
         log_prob: of the action, of each agent by its name    (B,).
         after: state of the environment after the step.
-        gamma: discount, for the running discounted return.
-        reward_scaling: factor on the reward.
+        gamma: discount, for the running discounted return; () or (seeds,).
+        reward_scaling: factor on the reward; () or (seeds,).
 
     Returns:
         Rollout state and totals after the step, and what it leaves for learning    (B, ...).
     """
     before, done, metrics = rollout.env_state, after.done, after.metrics
     zero = jnp.zeros_like(after.reward)
-    reward = reward_scaling * after.reward
-    discounted = gamma * rollout.discounted + reward
+    reward = _per_env(reward_scaling, len(done)) * after.reward
+    discounted = _per_env(gamma, len(done)) * rollout.discounted + reward
     episode_return = rollout.episode_return + after.reward
     episode_force = rollout.episode_force + metrics.get(FORCE_KEY, zero)
     length = rollout.episode_length + 1
@@ -133,7 +153,10 @@ def record_step(
         "step/overflow": metrics.get("overflow", zero),
     }
     gains |= {f"step/{name}": value for name, value in metrics.items() if "/" in name}
-    totals = {name: total + jnp.sum(gains[name]) for name, total in totals.items()}
+    totals = {
+        name: total + jnp.sum(gains[name].reshape(*total.shape, -1), -1)
+        for name, total in totals.items()
+    }
     going_on = 1 - done
     info = after.info
     batch = Batch(
@@ -178,7 +201,7 @@ def collect(
         act: (observation, key) -> action, raw sample, log-probabilities by agent.
         venv: vectorised, auto-resetting environment of B environments.
         rollout: where the environments are.
-        key: random key.
+        key: random key, or that of each seed (seeds, 2).
         num_steps: T.
         gamma: discount, for the running discounted return.
         reward_scaling: factor on the reward.
@@ -186,7 +209,7 @@ def collect(
 
     Returns:
         The rollout state afterwards, the batch, and sums over all steps (``step/*``) and over all
-        episodes that ended and were seen from their start (``episode/*``).
+        episodes that ended and were seen from their start (``episode/*``), () or (seeds,) each.
     """
     record = execution.compile(record_step)
 
@@ -199,6 +222,6 @@ def collect(
         )
         return (rollout, totals), batch
 
-    start = (rollout, zero_totals(rollout.env_state))
-    (rollout, totals), batch = execution.scan(step, start, jax.random.split(key, num_steps))
+    start = (rollout, zero_totals(rollout.env_state, key.shape[:-1]))
+    (rollout, totals), batch = execution.scan(step, start, split_keys(key, num_steps))
     return rollout, batch, totals

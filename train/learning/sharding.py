@@ -18,7 +18,7 @@ from agym_jax.compat import shardy_empty
 from ..errors import ConfigError
 from .agents import LearnerState
 from .ppo import Hyper
-from .rollout import RolloutState, Totals
+from .rollout import RolloutState, Totals, fold_in
 from .update import Run
 
 AXIS = "environments"  # of the devices
@@ -69,7 +69,7 @@ def shard(
     first, run = shardy_empty.own_constants(first), shardy_empty.own_constants(run)
 
     def first_here(key: jax.Array) -> RolloutState:
-        state = first(jax.random.fold_in(key, jax.lax.axis_index(AXIS)))
+        state = first(fold_in(key, jax.lax.axis_index(AXIS)))
         return jax.tree.map(lambda leaf: leaf[None], shardy_empty.hide(state))
 
     def run_here(

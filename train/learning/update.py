@@ -17,7 +17,16 @@ from ..configs import LearnConfig
 from .agents import Agents, LearnerState
 from .execution import ONE_PROGRAM, Execution
 from .ppo import Hyper
-from .rollout import RolloutState, Totals, collect, critic_obs, zero_totals
+from .rollout import (
+    RolloutState,
+    Totals,
+    collect,
+    critic_obs,
+    fold_in,
+    split_keys,
+    zero_totals,
+)
+from .seeds import SideBySide
 
 Run = Callable[..., tuple[LearnerState, RolloutState, Totals]]
 
@@ -25,7 +34,7 @@ Run = Callable[..., tuple[LearnerState, RolloutState, Totals]]
 def make_updates(
     venv: Any,
     config: LearnConfig,
-    agents: Agents,
+    agents: Agents | SideBySide,
     axis: str | None = None,
     execution: Execution = ONE_PROGRAM,
 ) -> Run:
@@ -34,7 +43,7 @@ def make_updates(
     Args:
         venv: vectorised environment, of the environments of one device.
         config: resolved settings.
-        agents: who learns.
+        agents: who learns, in one training or several side by side.
         axis: name of the axis of devices, if there are several.
         execution: how the loops run.
 
@@ -50,12 +59,10 @@ def make_updates(
     ) -> tuple[LearnerState, RolloutState, Totals]:
         def update(_: Any, carry: tuple) -> tuple:
             learner, rollout, totals = carry
-            key, key_rollout, key_learn = jax.random.split(learner.key, 3)
+            key, key_rollout, key_learn = split_keys(learner.key, 3)
             if axis is not None:
                 index = jax.lax.axis_index(axis)
-                key_rollout, key_learn = (
-                    jax.random.fold_in(k, index) for k in (key_rollout, key_learn)
-                )
+                key_rollout, key_learn = (fold_in(k, index) for k in (key_rollout, key_learn))
             rollout, batch, sums = collect(
                 lambda obs, key: act(learner, obs, key),
                 venv,
@@ -74,8 +81,8 @@ def make_updates(
             sums |= {f"loss/{name}": value for name, value in losses.items()}
             return learner, rollout, {name: total + sums[name] for name, total in totals.items()}
 
-        totals = zero_totals(rollout.env_state)
-        totals |= {f"loss/{name}": jnp.zeros((), jnp.float32) for name in agents.losses}
+        totals = zero_totals(rollout.env_state, agents.axes)
+        totals |= {f"loss/{name}": jnp.zeros(agents.axes, jnp.float32) for name in agents.losses}
         return execution.fori_loop(0, count, update, (learner, rollout, totals))
 
     return run

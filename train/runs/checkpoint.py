@@ -19,16 +19,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from agym_jax.data.npz import read_npz, write_npz
+from agym_jax.data.npz import check_writable, read_npz, write_npz
 from agym_jax.errors import DamagedFileError
 from agym_jax.policy.policy import Policy
 
 from ..configs import LearnConfig
 from ..errors import CheckpointMismatchError, CheckpointWarning
 from ..learning.agents import Agents
+from ..learning.seeds import SideBySide
 from ..learning.sharding import to_host
 from . import record
-from .curve import Row
+from .curve import Row, combine_rows
 from .folder import RunFolder
 
 FORMAT = 2
@@ -81,6 +82,11 @@ def arrays_to_tree(arrays: Mapping[str, np.ndarray], template: Any) -> Any:
     return jax.tree_util.tree_unflatten(structure, [jnp.asarray(arrays[n]) for n in wanted])
 
 
+def steps_of(learner: Any) -> int:
+    """Environment steps of a learner, of each of its seeds (one that diverged has stopped earlier)."""
+    return int(np.max(jax.device_get(learner.env_steps)))
+
+
 def checkpoint_files(folder: Path) -> list[Path]:
     """Checkpoints in a folder, newest first."""
     return sorted(folder.glob("step_*.npz"), reverse=True)
@@ -98,7 +104,7 @@ def save_checkpoint(folder: Path, learner: Any, meta: Mapping[str, Any]) -> Path
         The file.
     """
     learner = jax.device_get(learner)
-    path = folder / f"step_{int(learner.env_steps):012d}.npz"
+    path = folder / f"step_{steps_of(learner):012d}.npz"
     write_npz(path, tree_to_arrays(learner), {"format": FORMAT, **meta})
     for old in checkpoint_files(folder)[KEEP:]:
         old.unlink(missing_ok=True)
@@ -188,11 +194,14 @@ class CheckpointManager:
         env: the environment.
         config: resolved settings.
         agents: whose state it is.
-        folder: where; None keeps the curve in memory only.
+        folder: where; None keeps the curves in memory only.
         writes: whether this host is the one that writes; all of them read.
 
     Attributes:
-        curve: rows of all sessions.
+        seeds: of the trainings side by side.
+        curves: of each seed, rows of all sessions.
+        combined: rows for all seeds together; with one seed, its curve.
+        stopped: seed -> why it was stopped.
         seconds: that earlier sessions trained.
     """
 
@@ -200,13 +209,16 @@ class CheckpointManager:
         self,
         env: Any,
         config: LearnConfig,
-        agents: Agents,
+        agents: Agents | SideBySide,
         folder: RunFolder | None,
         writes: bool = True,
     ) -> None:
         self._env, self._config, self._agents = env, config, agents
         self._source, self._folder = folder, folder if writes else None
-        self.curve: list[Row] = []
+        self.seeds = [config.seed + i for i in range(config.num_seeds)]
+        self.curves: list[list[Row]] = [[] for _ in self.seeds]
+        self.combined: list[Row] = self.curves[0] if len(self.seeds) == 1 else []
+        self.stopped: dict[int, str] = {}
         self.seconds = 0.0
         self._compatibility = {
             "trainer": agents.trainer,
@@ -220,6 +232,14 @@ class CheckpointManager:
             "versions": record.versions(),
             "algorithm": agents.trainer,
         }
+
+    def _folders(self) -> list[RunFolder]:
+        """Folder of the policies and the curve of each seed; none if nothing is written."""
+        if not self._folder:
+            return []
+        if len(self.seeds) == 1:
+            return [self._folder]
+        return [self._folder.of_seed(seed) for seed in self.seeds]
 
     def resume(self, learner: Any) -> tuple[Any, Mapping[str, Any] | None]:
         """The learner to begin with, and what the newest sound checkpoint says, if there is one.
@@ -235,28 +255,46 @@ class CheckpointManager:
         found = load_newest(self._source.checkpoints, learner, self._compatibility)
         if not found:
             return learner, None
-        self.curve, self.seconds = found.meta["curve"], found.meta["seconds"]
-        return found.learner, found.meta
+        meta = found.meta
+        self.combined, self.seconds = meta["curve"], meta["seconds"]
+        self.curves = meta.get("curves") or [self.combined]
+        self.stopped = {int(seed): why for seed, why in meta.get("stopped", {}).items()}
+        return found.learner, meta
 
     def begin(self, first_steps: int) -> None:
-        """Write down the settings, and the curve as far as it is valid."""
+        """Write down the settings, and the curves as far as they are valid."""
         if self._folder:
-            self._folder.write_curve(self.curve)
+            for folder, curve in zip(self._folders(), self.curves, strict=True):
+                check_writable(folder.path)
+                folder.write_curve(curve)
+            self._folder.write_curve(self.combined)
             self._folder.write_config(
                 self._config,
                 resumed_from_step=first_steps or None,
                 impl=str(getattr(self._env, "impl", self._config.impl)),
             )
 
-    def add(self, row: Row) -> None:
-        """Keep a row of the curve."""
-        self.curve.append(row)
-        if self._folder:
-            self._folder.add_row(row)
+    def add(self, rows: Mapping[int, Row]) -> Row:
+        """Keep a row of the curve of each seed (by its index) that still learns; returns the one for all."""
+        row = rows[0] if len(self.seeds) == 1 else combine_rows(list(rows.values()))
+        folders = self._folders()
+        for index, own in rows.items():
+            self.curves[index].append(own)
+            if folders:
+                folders[index].add_row(own)
+        if len(self.seeds) > 1:
+            self.combined.append(row)
+            if self._folder:
+                self._folder.add_row(row)
+        return row
 
-    def policies(self, learner: Any) -> Policies:
-        """The policies of a learner, by agent."""
-        return self._agents.policies(to_host(learner), self._info)
+    def policies(self, learner: Any) -> list[Policies]:
+        """The policies of a learner by agent, for each seed."""
+        learners = self._agents.of_seeds(to_host(learner))
+        return [
+            self._agents.policies(own, {**self._info, "seed": seed})
+            for seed, own in zip(self.seeds, learners, strict=True)
+        ]
 
     def save(self, learner: Any, seconds: float) -> None:
         """A checkpoint, and the policies beside it.
@@ -268,18 +306,27 @@ class CheckpointManager:
         if self._folder:
             meta = {
                 "compatibility": self._compatibility,
-                "curve": self.curve,
+                "curve": self.combined,
                 "seconds": self.seconds + seconds,
                 "config": dataclasses.asdict(self._config),
             }
+            if len(self.seeds) > 1:
+                meta |= {"curves": self.curves, "stopped": self.stopped}
             save_checkpoint(self._folder.checkpoints, learner, meta)
-            self._folder.save_policies(self.policies(learner))
+            self._save_policies(self.policies(learner))
 
-    def finish(self, learner: Any) -> Policies:
-        """Save policies and picture; returns the policies."""
+    def _save_policies(self, policies: list[Policies]) -> None:
+        for folder, own in zip(self._folders(), policies, strict=True):
+            folder.save_policies(own)
+
+    def finish(self, learner: Any) -> list[Policies]:
+        """Save policies and picture; returns the policies by agent, for each seed."""
         policies = self.policies(learner)
         if self._folder:
-            self._folder.save_policies(policies)
-            title = f"{self._env.name}, {self._agents.trainer}, seed {self._config.seed}"
-            self._folder.draw(self.curve, title)
+            self._save_policies(policies)
+            seeds = f"seed {self.seeds[0]}"
+            if len(self.seeds) > 1:
+                seeds = f"seeds {self.seeds[0]} to {self.seeds[-1]}"
+            title = f"{self._env.name}, {self._agents.trainer}, {seeds}"
+            self._folder.draw(self.combined, title)
         return policies

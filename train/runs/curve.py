@@ -3,14 +3,58 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from agym_jax.errors import BufferOverflowError
 
 from ..errors import DivergedError
+from ..evaluation.statistics import bootstrap_interval, iqm
 
 Row = dict[str, Any]
+SCORES = ("return", "success", "force", "return_per_step")
+"""Columns that are combined over seeds by their interquartile mean."""
+
+
+def make_rows(
+    totals: Mapping[str, Any], updates: int, samples: int, episode_length: int
+) -> list[Row]:
+    """``make_row`` of every seed, from totals () or (seeds,)."""
+    count = np.size(next(iter(totals.values())))
+    split = {name: np.reshape(total, count) for name, total in totals.items()}
+    return [
+        make_row({name: x[i] for name, x in split.items()}, updates, samples, episode_length)
+        for i in range(count)
+    ]
+
+
+def combine_rows(rows: Sequence[Row]) -> Row:
+    """One row for several seeds.
+
+    Args:
+        rows: of the seeds that still learn, at the same step.
+
+    Returns:
+        The columns that a row has, as means over the seeds, counts as sums, ``SCORES`` as interquartile means;
+        and of each score ``<name>_min, <name>_max`` and the 95 % bootstrap interval of the interquartile mean,
+        ``<name>_low, <name>_high``. ``num_seeds`` is how many there are.
+    """
+    combined: Row = {"num_seeds": len(rows)}
+    for name in rows[0]:
+        values = np.array([row[name] for row in rows if row[name] is not None], float)
+        if not len(values):
+            combined[name] = None
+        elif name in ("episodes", "nan", "overflow", "nan_total"):
+            combined[name] = int(values.sum())
+        elif name in SCORES:
+            low, high = bootstrap_interval(values[:, None])
+            combined |= {name: iqm(values), f"{name}_low": low, f"{name}_high": high}
+            combined |= {f"{name}_min": float(values.min()), f"{name}_max": float(values.max())}
+        else:
+            combined[name] = float(values.mean())
+    return combined
 
 
 def make_row(totals: Mapping[str, Any], updates: int, samples: int, episode_length: int) -> Row:
@@ -47,26 +91,42 @@ def make_row(totals: Mapping[str, Any], updates: int, samples: int, episode_leng
     return row
 
 
-def check_row(row: Row, env_name: str, num_envs: int) -> None:
-    """Stop a run whose numbers cannot be trusted.
+def check_overflow(lost: float, env_name: str, num_envs: int) -> None:
+    """Stop a run whose physics cannot be trusted.
+
+    Args:
+        lost: environment steps in which contacts were lost.
+        env_name: environment id.
+        num_envs: environments stepped together.
 
     Raises:
-        BufferOverflowError: the physics lost contacts.
-        DivergedError: a loss or the reward is not finite.
+        BufferOverflowError: there are such steps.
     """
-    if row["overflow"] > 0:
+    if lost > 0:
         raise BufferOverflowError(
             f"In {env_name!r} with {num_envs} environments, contacts or constraints were lost in "
-            f"{row['overflow']:.0f} environment steps because the physics buffers are too small. The "
+            f"{lost:.0f} environment steps because the physics buffers are too small. The "
             f"results cannot be trusted, so training stops. Use fewer environments (--num-envs), "
             f"--impl jax, or larger buffers in agym_jax.make."
         )
+
+
+def diverged(row: Row) -> str:
+    """Which numbers of a row are not finite, in words; empty if learning goes well."""
     bad = [k for k, v in row.items() if k.startswith("loss/") and not math.isfinite(v)]
     bad += [] if math.isfinite(row["return_per_step"]) else ["reward"]
-    if bad:
+    return f"before step {row['env_steps']:,}: {', '.join(bad)} not finite" if bad else ""
+
+
+def refuse_diverged(row: Row, env_name: str) -> None:
+    """Stop a run that cannot go on.
+
+    Raises:
+        DivergedError: something in the row is not finite.
+    """
+    if why := diverged(row):
         raise DivergedError(
-            f"Training in {env_name!r} diverged before step {row['env_steps']:,}: "
-            f"{', '.join(bad)} not finite. Checkpoints from before are intact. Lower --lr, or "
+            f"Training in {env_name!r} diverged {why}. Checkpoints from before are intact. Lower --lr, or "
             f"report it if the environment produced NaN (NaN environment steps so far: "
             f"{row['nan_total']:.0f})."
         )

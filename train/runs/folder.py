@@ -34,6 +34,10 @@ class RunFolder:
         self.curve = self.path / "curve.jsonl"
         self.picture = self.path / "curve.png"
 
+    def of_seed(self, seed: int) -> RunFolder:
+        """The folder of one of several seeds, in this one: ``seed_<seed>``."""
+        return RunFolder(str(self.path), f"seed_{seed}")
+
     def prepare(self, fresh: bool) -> Path | None:
         """Make sure that results can be written, before anything compiles.
 

@@ -64,7 +64,10 @@ class _Latest:
         parts = [f"{row['steps_per_second']:,.0f} steps/s"]
         if "return" in self.known:
             parts.append(f"return {self.known['return']:.1f}")
-            parts.append(f"success {self.known['success']:.0%}")
+            spread = ""
+            if "success_min" in self.known:
+                spread = f" ({self.known['success_min']:.0%} to {self.known['success_max']:.0%})"
+            parts.append(f"success {self.known['success']:.0%}{spread}")
         if row["nan_total"]:
             parts.append(f"NaN {row['nan_total']:.0f}")
         return "  ".join(parts)
@@ -92,7 +95,8 @@ class Lines:
         if now < self._next and row["env_steps"] < total:
             return
         self._next = now + self._period
-        left = (total - row["env_steps"]) / max(row["steps_per_second"], 1e-9)
+        steps = (total - row["env_steps"]) * row.get("num_seeds", 1)
+        left = steps / max(row["steps_per_second"], 1e-9)
         share = row["env_steps"] / total
         self.say(f"{row['env_steps']:>11,} steps {share:4.0%}  {words}  left {duration(left)}")
 

@@ -15,16 +15,33 @@ from .progress import duration
 
 
 @dataclass(frozen=True)
+class SeedResult:
+    """What one seed of a run leaves.
+
+    Attributes:
+        seed: the seed.
+        policies: the trained policies by agent: "robot", "human", or "joint" for both at once.
+        curve: rows of the learning curve, of all sessions.
+        stopped: why it was stopped before the others; empty if it was not.
+    """
+
+    seed: int
+    policies: Mapping[str, Policy]
+    curve: list[Row]
+    stopped: str = ""
+
+
+@dataclass(frozen=True)
 class TrainResult:
     """What a run leaves.
 
     Attributes:
-        policies: the trained policies by agent: "robot", "person", or "joint" for both at once.
+        seeds: what each of its seeds leaves.
         learner: the learner, for going on in Python.
         config: settings with everything automatic filled in.
-        curve: rows of the learning curve, of all sessions.
-        env_steps: environment steps, of all sessions.
-        session_steps: environment steps of this session.
+        curve: rows of the learning curve, of all sessions; with several seeds those of ``combine_rows``.
+        env_steps: environment steps of each seed, of all sessions.
+        session_steps: environment steps of all seeds in this session.
         compile_seconds: time to trace and compile.
         train_seconds: time of this session's training, with logging and saving.
         nan_steps: steps of this session in which an environment went non-finite.
@@ -32,7 +49,7 @@ class TrainResult:
         folder: where the files are; None if nothing was written.
     """
 
-    policies: Mapping[str, Policy]
+    seeds: list[SeedResult]
     learner: Any
     config: LearnConfig
     curve: list[Row]
@@ -45,8 +62,13 @@ class TrainResult:
     folder: Path | None
 
     @property
+    def policies(self) -> Mapping[str, Policy]:
+        """The policies by agent; of the first seed, if there are several."""
+        return self.seeds[0].policies
+
+    @property
     def policy(self) -> Policy:
-        """The robot's policy, or the one for both."""
+        """The robot's policy, or the one for both; of the first seed, if there are several."""
         return next(iter(self.policies.values()))
 
     @property
@@ -69,12 +91,20 @@ def summary(result: TrainResult) -> str:
     config = result.config
     word = "stopped at" if result.interrupted else "trained"
     nan = f", {result.nan_steps} environment steps went NaN" if result.nan_steps else ""
+    seeds, spread = "", ""
+    if len(result.seeds) > 1:
+        seeds = f" with each of {len(result.seeds)} seeds"
+        spread = f" ({shown('success_min', '.0%')} to {shown('success_max', '.0%')})"
     text = (
-        f"{config.env_name}: {word} {result.env_steps:,} steps, return {shown('return', '.1f')}, "
-        f"success {shown('success', '.0%')}, force {shown('force', '.2f')} N{nan}. "
+        f"{config.env_name}: {word} {result.env_steps:,} steps{seeds}, return {shown('return', '.1f')}, "
+        f"success {shown('success', '.0%')}{spread}, force {shown('force', '.2f')} N{nan}. "
         f"Compiled in {duration(result.compile_seconds)}, trained {result.session_steps:,} steps "
         f"in {duration(result.train_seconds)} ({result.steps_per_second:,.0f} steps/s)."
     )
+    for seed in result.seeds:
+        text += (
+            f"\nSeed {seed.seed} was stopped: it diverged {seed.stopped}." if seed.stopped else ""
+        )
     if result.folder:
         what = "Policy" if len(result.policies) == 1 else "Policies"
         text += f"\n{what}, curve.png, curve.jsonl, checkpoints: {result.folder}"

@@ -28,15 +28,15 @@ from ..envs import make_env, vectorize
 from ..learning.agents import Agents
 from ..learning.execution import STEPWISE, StepwiseEnv, compile_together
 from ..learning.hosts import check_agreement, join_hosts, wait_for_hosts
-from ..learning.ppo import Hyper
-from ..learning.rollout import RolloutState, init_rollout
+from ..learning.rollout import RolloutState, fold_in, init_rollout, split_keys
+from ..learning.seeds import SideBySide, keep_learner, seed_keys
 from ..learning.sharding import AXIS, device_mesh, replicate, shard, shardings, to_host
 from ..learning.update import make_updates
-from .checkpoint import CheckpointManager, Policies
-from .curve import Row, check_row, make_row
+from .checkpoint import CheckpointManager, Policies, steps_of
+from .curve import Row, check_overflow, diverged, make_rows, refuse_diverged
 from .folder import RunFolder
 from .progress import Progress, Silent, for_terminal
-from .result import TrainResult, summary
+from .result import SeedResult, TrainResult, summary
 
 SAVE_PERIOD = 60.0  # seconds after which a checkpoint is due at the next log line
 UNIMPORTANT = ("save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts")
@@ -59,7 +59,7 @@ def resolve_config(env: Any, config: Config) -> tuple[Config, Mesh | None]:
 def run_session(
     env: Any,
     config: LearnConfig,
-    agents: Agents,
+    agents: Agents | SideBySide,
     mesh: Mesh | None = None,
     progress: Progress | None = None,
     on_log: OnLog | None = None,
@@ -72,7 +72,7 @@ def run_session(
         agents: who learns.
         mesh: from ``resolve_config``.
         progress: is told what happens; None shows nothing.
-        on_log: see ``train.ppo.train``; gets policies by agent.
+        on_log: see ``train.ppo.train``; gets policies by agent, of the first seed.
 
     Returns:
         Policies, learning curve and times.
@@ -85,11 +85,14 @@ def run_session(
     wait_for_hosts("folder")
 
     start = time.perf_counter()
-    venv = vectorize(env, config.num_envs // config.devices)
-    key_learner, key_envs = jax.random.split(jax.random.PRNGKey(config.seed))
+    if config.num_seeds > 1 and isinstance(agents, Agents):
+        agents = SideBySide(agents, config.num_seeds)
+    num_envs = config.num_envs * config.num_seeds
+    venv = vectorize(env, num_envs // config.devices)
+    key_learner, key_envs = split_keys(seed_keys(config.seed, config.num_seeds))
     manager = CheckpointManager(env, config, agents, folder, writes=is_main_process)
     learner, meta = manager.resume(jax.jit(agents.init)(key_learner))
-    first_steps = int(learner.env_steps)
+    first_steps = steps_of(learner)
     if meta:
         _say_resumed(progress, meta, config, first_steps)
     check_agreement("the step to go on from", first_steps, "They need a common --save-dir.")
@@ -101,7 +104,7 @@ def run_session(
     run: Any = None
     if first_steps < total_steps:
         # A resumed run gets fresh episodes, and other ones than the run before it began with.
-        key_envs = jax.random.fold_in(key_envs, first_steps)
+        key_envs = fold_in(key_envs, first_steps)
         if isinstance(venv, StepwiseEnv):
             rollout = init_rollout(venv, key_envs, config.stagger)
             run = make_updates(venv, config, agents, execution=STEPWISE)
@@ -112,7 +115,9 @@ def run_session(
     compile_seconds = time.perf_counter() - start
 
     progress.start(first_steps, total_steps)
-    hyper = Hyper.of(config, total_steps)
+    hyper = agents.hyper(total_steps)
+    for seed in manager.stopped:
+        hyper.learns[manager.seeds.index(seed)] = 0.0
     start = last_save = time.perf_counter()
     env_steps, nan_steps, since_save, interrupted = first_steps, 0, 0, False
     saved_at = first_steps
@@ -121,23 +126,31 @@ def run_session(
             count = min(config.log_interval, math.ceil((total_steps - env_steps) / batch))
             began = time.perf_counter()
             next_learner, rollout, totals = run(learner, rollout, np.int32(count), hyper)
-            totals = jax.device_get(totals)
+            rows = make_rows(jax.device_get(totals), count, count * batch, env.episode_length)
             now = time.perf_counter()
-            row = make_row(totals, count, count * batch, env.episode_length)
-            nan_steps += int(row["nan"])
-            row |= {
+            nan_steps += sum(int(row["nan"]) for row in rows)
+            about = {
                 "env_steps": env_steps + count * batch,
                 "seconds": manager.seconds + now - start,
-                "steps_per_second": count * batch / (now - began),
+                "steps_per_second": count * batch * len(rows) / (now - began),
                 "nan_total": nan_steps,
             }
-            check_row(row, env.name, config.num_envs)
+            rows = [row | about for row in rows]
+            check_overflow(sum(row["overflow"] for row in rows), env.name, num_envs)
+            going = {i: x for i, x in enumerate(rows) if manager.seeds[i] not in manager.stopped}
+            for i, bad in [(i, x) for i, x in going.items() if diverged(x)]:
+                if len(going) == 1:
+                    refuse_diverged(bad, env.name)
+                next_learner = keep_learner(next_learner, learner, i)
+                hyper.learns[i] = 0.0
+                manager.stopped[manager.seeds[i]] = diverged(going.pop(i))
+                progress.say(f"Seed {manager.seeds[i]} diverged {diverged(bad)}; the others go on.")
             learner, env_steps = next_learner, env_steps + count * batch
-            manager.add(row)
+            row = manager.add(going)
             progress.update(row)
             since_save += count
             due = since_save >= config.save_interval or now - last_save > SAVE_PERIOD
-            if on_log and on_log(row, lambda kept=learner: manager.policies(kept)):
+            if on_log and on_log(row, lambda kept=learner: manager.policies(kept)[0]):
                 interrupted = env_steps < total_steps
             if due or interrupted or env_steps >= total_steps:
                 manager.save(learner, now - start)
@@ -149,13 +162,17 @@ def run_session(
     finally:
         progress.stop()
     train_seconds = time.perf_counter() - start
+    policies = manager.finish(learner)
     return TrainResult(
-        policies=manager.finish(learner),
+        seeds=[
+            SeedResult(seed, policies[i], manager.curves[i], manager.stopped.get(seed, ""))
+            for i, seed in enumerate(manager.seeds)
+        ],
         learner=to_host(learner),
         config=config,
-        curve=manager.curve,
+        curve=manager.combined,
         env_steps=env_steps,
-        session_steps=env_steps - first_steps,
+        session_steps=(env_steps - first_steps) * config.num_seeds,
         compile_seconds=compile_seconds,
         train_seconds=train_seconds,
         nan_steps=nan_steps,
@@ -167,7 +184,7 @@ def run_session(
 def _compile(
     venv: Any,
     config: LearnConfig,
-    agents: Agents,
+    agents: Agents | SideBySide,
     learner: Any,
     key: jax.Array,
     mesh: Mesh | None,
@@ -184,12 +201,12 @@ def _compile(
         first, run = shard(mesh, first, run)
         learner, key = replicate(mesh, (learner, key))
     with kernels_in_background():
-        go, begin = _lower_and_compile(first, run, config, learner, key, (common, own))
+        go, begin = _lower_and_compile(first, run, agents, learner, key, (common, own))
     return learner, jax.block_until_ready(begin(key)), go
 
 
 def _lower_and_compile(
-    first: Callable, run: Callable, config: LearnConfig, learner: Any, key: jax.Array, where: tuple
+    first: Callable, run: Callable, agents: Any, learner: Any, key: jax.Array, where: tuple
 ) -> list[Any]:
     """The compiled programs that continue and begin the environments."""
     common, own = where
@@ -199,7 +216,7 @@ def _lower_and_compile(
         lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=own), reset.out_info
     )
     update = jax.jit(run, out_shardings=(common, own, common))
-    update = update.lower(learner, rollout, np.int32(1), Hyper.of(config, 1))
+    update = update.lower(learner, rollout, np.int32(1), agents.hyper(1))
     options = GPU_OPTIONS if jax.default_backend() == "gpu" else None
     return compile_together(update, reset, options=options)
 

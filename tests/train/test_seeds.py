@@ -1,0 +1,148 @@
+# ruff: noqa: D103 (a test's name says what it shows)
+"""Several seeds in one run: each learns as it would alone, has files of its own, and harms no other."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+from fake_env import FakeEnv
+from fake_pair_env import FakePairEnv
+
+from agym_jax.policy.policy import read_policy
+from train import coop, ppo
+from train.configs import CoopConfig, PPOConfig
+from train.envs import vectorize
+from train.errors import CheckpointMismatchError, ConfigError, DivergedError
+from train.learning.execution import StepwiseEnv
+from train.learning.seeds import SideBySide
+
+SETTINGS = {
+    "num_env_steps": 320 * 6,
+    "num_envs": 16,
+    "num_mini_batch": 4,
+    "policy_hidden": (16,),
+    "value_hidden": (16,),
+    "lr": 2e-3,
+    "log_interval": 2,
+    "save_dir": None,
+    "seed": 3,
+}
+CASES = {
+    "ppo": (ppo.train, FakeEnv, PPOConfig, {}),
+    "privileged": (ppo.train, lambda: FakeEnv(privileged_obs_size=1), PPOConfig, {}),
+    "coop": (coop.train, FakePairEnv, CoopConfig, {"central_critic": True}),
+}
+
+
+def weights(policies):
+    return np.concatenate([
+        np.ravel(x) for p in policies.values() for x in jax.tree.leaves([p.weights, p.mean, p.std])
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_each_of_several_seeds_learns_as_it_would_alone(case):
+    train, make, kind, changes = CASES[case]
+    config = kind(**SETTINGS | changes)
+    together = train(make(), dataclasses.replace(config, num_seeds=3))
+    assert [found.seed for found in together.seeds] == [3, 4, 5]
+    assert together.session_steps == 3 * together.env_steps == 3 * config.num_env_steps
+    all_weights = [weights(found.policies) for found in together.seeds]
+    assert np.abs(all_weights[0] - all_weights[1]).max() > 0.01  # they are different trainings
+    for found, ours in zip(together.seeds[2:], all_weights[2:], strict=True):
+        alone = train(make(), dataclasses.replace(config, seed=found.seed))
+        np.testing.assert_allclose(ours, weights(alone.policies), atol=2e-4)
+        for row, other in zip(found.curve, alone.curve, strict=True):
+            assert row.keys() == other.keys() and row["episodes"] == other["episodes"]
+            for name in ("return", "success", "force", "return_per_step"):
+                assert row[name] == pytest.approx(other[name], rel=1e-3, abs=1e-4), name
+
+
+def test_the_combined_curve_tells_of_all_seeds():
+    result = ppo.train(FakeEnv(), PPOConfig(**SETTINGS, num_seeds=4))
+    last = result.curve[-1]
+    own = [found.curve[-1]["return"] for found in result.seeds]
+    assert last["num_seeds"] == 4 and last["episodes"] == sum(
+        found.curve[-1]["episodes"] for found in result.seeds
+    )
+    assert last["return"] == pytest.approx(np.mean(np.sort(own)[1:3]))  # interquartile
+    assert last["return_min"] == min(own) and last["return_max"] == max(own)
+    assert min(own) <= last["return_low"] <= last["return"] <= last["return_high"] <= max(own)
+
+
+def test_files_of_each_seed_and_a_run_resumed_whole(tmp_path):
+    config = PPOConfig(**SETTINGS | {"save_dir": str(tmp_path)}, num_seeds=2)
+    stop = lambda row, policy: row["env_steps"] >= 960  # noqa: E731
+    first = ppo.train(FakeEnv(), config, on_log=stop)
+    assert first.interrupted and first.env_steps < config.num_env_steps
+    second = ppo.train(FakeEnv(), config)
+    assert second.env_steps == config.num_env_steps
+    assert second.session_steps == 2 * (second.env_steps - first.env_steps)
+    folder = tmp_path / "FakeReach-v0"
+    assert (folder / "curve.png").stat().st_size > 10_000 and not (folder / "policy.npz").exists()
+    for found in second.seeds:
+        rows = (folder / f"seed_{found.seed}" / "curve.jsonl").read_text().splitlines()
+        steps = [json.loads(row)["env_steps"] for row in rows]
+        assert steps == [row["env_steps"] for row in found.curve] == [640, 1280, 1920]
+        policy = read_policy(folder / f"seed_{found.seed}" / "policy.npz")
+        assert policy.info["seed"] == found.seed and policy.info["env_steps"] == 1920
+        np.testing.assert_array_equal(weights({"robot": policy}), weights(found.policies))
+    combined = (folder / "curve.jsonl").read_text().splitlines()
+    assert [json.loads(row)["num_seeds"] for row in combined] == [2, 2, 2]
+    with pytest.raises(CheckpointMismatchError, match="num_seeds"):
+        ppo.train(FakeEnv(), dataclasses.replace(config, num_seeds=3, num_env_steps=9_600))
+    with pytest.raises(CheckpointMismatchError):
+        ppo.train(FakeEnv(), dataclasses.replace(config, num_seeds=1, num_env_steps=9_600))
+
+
+def spoil(monkeypatch, *lost):
+    """Give some of the seeds a learning rate with which every loss is NaN."""
+    plain = SideBySide.hyper
+
+    def hyper(self, total_steps):
+        found = plain(self, total_steps)
+        found.lr[list(lost)] = np.nan
+        return found
+
+    monkeypatch.setattr(SideBySide, "hyper", hyper)
+
+
+def test_a_seed_that_diverges_is_stopped_and_harms_no_other(monkeypatch, tmp_path):
+    config = PPOConfig(**SETTINGS | {"save_dir": str(tmp_path)}, num_seeds=3)
+    sound = ppo.train(FakeEnv(), dataclasses.replace(config, save_dir=None))
+    spoil(monkeypatch, 1)
+    result = ppo.train(FakeEnv(), config)
+    stopped = [found.stopped for found in result.seeds]
+    assert "loss/" in stopped[1] and "not finite" in stopped[1] and stopped[0] == stopped[2] == ""
+    assert not result.seeds[1].curve and result.curve[-1]["num_seeds"] == 2
+    assert np.isfinite(weights(result.seeds[1].policies)).all()
+    for i in (0, 2):
+        np.testing.assert_array_equal(
+            weights(result.seeds[i].policies), weights(sound.seeds[i].policies)
+        )
+    longer = dataclasses.replace(config, num_env_steps=320 * 8)
+    again = ppo.train(FakeEnv(), longer)  # a resumed run knows who was stopped
+    assert [bool(found.stopped) for found in again.seeds] == [False, True, False]
+
+
+def test_if_all_seeds_diverge_the_run_stops(monkeypatch):
+    spoil(monkeypatch, 0, 1)
+    with pytest.raises(DivergedError, match="diverged before step 640: loss/"):
+        ppo.train(FakeEnv(), PPOConfig(**SETTINGS, num_seeds=2))
+
+
+def test_stepwise_environments_take_several_seeds_too():
+    venv = StepwiseEnv(vectorize(FakeEnv(), 32))
+    by_steps = ppo.train(venv, PPOConfig(**SETTINGS, num_seeds=2))
+    at_once = ppo.train(FakeEnv(), PPOConfig(**SETTINGS, num_seeds=2))
+    for ours, theirs in zip(by_steps.seeds, at_once.seeds, strict=True):
+        np.testing.assert_allclose(weights(ours.policies), weights(theirs.policies), atol=2e-4)
+
+
+def test_less_than_one_seed_is_refused():
+    with pytest.raises(ConfigError, match="num_seeds must be at least 1, got 0"):
+        PPOConfig(num_seeds=0)

@@ -1,0 +1,98 @@
+# ruff: noqa: D103 (a test's name says what it shows)
+"""Seeds are measured, one is chosen over some episodes and reported over others, and two settings are compared."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from fake_env import FakeEnv
+
+from agym_jax.policy.policy import read_policy
+from train import compare, select
+from train.configs import PPOConfig
+from train.evaluation.score import EvaluationResult
+from train.evaluation.seed_scores import SeedScores
+from train.ppo import train
+
+SHORT = PPOConfig(
+    num_env_steps=320, num_envs=16, num_mini_batch=4, policy_hidden=(32,), value_hidden=(32,), lr=1e-3,
+    num_seeds=3,
+)  # fmt: skip
+
+
+def make(name: str, impl: str) -> FakeEnv:
+    return FakeEnv(name=name)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """A run that has learned nothing, and one that has learned to reach."""
+    from dataclasses import replace
+
+    folder = tmp_path_factory.mktemp("runs")
+    short = replace(SHORT, save_dir=str(folder / "short"))
+    long = replace(SHORT, save_dir=str(folder / "long"), num_env_steps=40_000, lr=5e-3)
+    return [train(FakeEnv(), config).folder for config in (short, long)]
+
+
+def scores(*successes):
+    results = {
+        seed: EvaluationResult(
+            "X-v0", np.array(rows, float), np.zeros(len(rows)), np.array(rows) > 0,
+            np.zeros(len(rows)), 0, 1.0,
+        )
+        for seed, rows in enumerate(successes, start=5)
+    }  # fmt: skip
+    return SeedScores(results)
+
+
+def test_scores_of_seeds():
+    found = scores([1, 1, 0, 0], [1, 1, 1, 1], [0, 0, 0, 0], [1, 0, 1, 1])
+    assert found.best == 6 and found.worst == 7
+    summary = found.summary()
+    assert summary["success_of_seeds"] == [0.5, 1.0, 0.0, 0.75] and summary["seeds"] == [5, 6, 7, 8]
+    assert summary["success_iqm"] == pytest.approx(0.625)  # the mean of 0.5 and 0.75
+    assert summary["success_iqm_low"] < 0.625 < summary["success_iqm_high"]
+    assert "interquartile mean of success: 62.5%" in found.table()
+
+
+def test_the_chosen_seed_is_reported_over_other_episodes_and_ready_for_use(runs, tmp_path, capsys):
+    long, file = runs[1], tmp_path / "selection.jsonl"
+    assert select.main([str(long), "--num-episodes", "64", "--json", str(file)], make) == 0
+    line = json.loads(file.read_text())
+    assert (
+        line["kind"] == "selection"
+        and line["seeds"] == [1, 2, 3]
+        and line["chosen"] == line["best"]
+    )
+    of_seeds = dict(zip(line["seeds"], line["success_of_seeds"], strict=True))
+    assert of_seeds[line["chosen"]] == max(of_seeds.values())
+    assert (line["chosen_over"], line["reported_over"]) == (2001, 1001)
+    chosen = read_policy(long / "policy.npz")
+    assert chosen.info["seed"] == line["chosen"]
+    assert f"Chosen: seed {line['chosen']}" in capsys.readouterr().out
+    assert select.main([str(long), "--seed", "1001"], make) == 2
+    assert "must not be reported over the episodes" in capsys.readouterr().err
+
+
+def test_a_run_without_seeds_is_refused(tmp_path, capsys):
+    assert select.main([str(tmp_path)], make) == 2
+    assert "--num-seeds 8" in capsys.readouterr().err
+
+
+def test_what_has_learned_is_better_than_what_has_not(runs, tmp_path, capsys):
+    short, long = map(str, runs)
+    file = tmp_path / "comparison.jsonl"
+    assert compare.main([long, short, "--num-episodes", "64", "--json", str(file)], make) == 0
+    line = json.loads(file.read_text())
+    assert line["returns"] == {"probability": 1.0, "low": 1.0, "high": 1.0}
+    assert line["first"]["return_iqm"] > line["second"]["return_iqm"]
+    assert compare.main([short, short, "--num-episodes", "64"], make) == 0
+    assert "probability 50%" in capsys.readouterr().out
+
+
+def test_runs_of_different_environments_are_not_compared(runs, tmp_path, capsys):
+    assert compare.main([str(runs[0]), str(tmp_path / "Other-v0")], make) == 2
+    assert "different environments" in capsys.readouterr().err

@@ -1,0 +1,97 @@
+"""Is one setting better than another? ``agym-jax compare runs_a/FeedingSawyer-v0 runs_b/FeedingSawyer-v0``.
+
+Measures the policies of all seeds of two runs (``--num-seeds``) over the same episodes, and prints the interquartile
+means, and how likely a seed of the first run is better than one of the second.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import tyro
+
+from agym_jax.data.npz import check_writable
+from agym_jax.errors import AgymError
+
+from .configs import Count
+from .envs import make_env
+from .errors import ConfigError
+from .evaluation.evaluator import Evaluator
+from .evaluation.seed_scores import SeedScores, score_seeds
+from .evaluation.statistics import improvement_interval, probability_of_improvement
+from .runs.record import append_record, record
+from .select import load_seeds
+
+
+@dataclass(frozen=True)
+class CompareConfig:
+    """Flags of ``agym-jax compare``."""
+
+    runs: Annotated[tuple[str, str], tyro.conf.Positional, tyro.conf.arg(metavar="RUN RUN")]
+    """Folders of two runs with several seeds, of the same environment."""
+    num_episodes: Count = 1000
+    """Episodes of each policy, all side by side."""
+    seed: int = 1001
+    """Seed of the episodes, the same for all."""
+    impl: str = "auto"
+    """Physics: "jax", "warp" or "auto"."""
+    json: str | None = None
+    """File to which the result is added as a JSON line."""
+
+
+def improvement(ours: SeedScores, theirs: SeedScores) -> dict[str, dict[str, Any]]:
+    """How likely a seed of the first setting is better than one of the second, by success and by return."""
+    found = {}
+    for name in ("successes", "returns"):
+        a, b = getattr(ours, name).mean(1), getattr(theirs, name).mean(1)
+        low, high = improvement_interval(a, b)
+        found[name] = {"probability": probability_of_improvement(a, b), "low": low, "high": high}
+    return found
+
+
+def main(
+    arguments: Sequence[str] | None = None,
+    make: Callable[[str, str], Any] = make_env,
+    prog: str = f"python -m {__package__}.compare",
+) -> int:
+    """The command line; returns the exit status."""
+    config = tyro.cli(CompareConfig, prog=prog, args=arguments, description=__doc__)
+    runs = [Path(run).resolve() for run in config.runs]
+    try:
+        if config.json:
+            check_writable(Path(config.json).parent, "Choose another file with --json.")
+        if runs[0].name != runs[1].name:
+            raise ConfigError(
+                f"{runs[0].name} and {runs[1].name} are different environments; compare two runs of one."
+            )
+        env, first = load_seeds(runs[0], make, config.impl)
+        _, second = load_seeds(runs[1], lambda *_: env, config.impl)
+        evaluator, key = Evaluator(env, config.num_episodes), jax.random.PRNGKey(config.seed)
+        scores = [score_seeds(evaluator, policies, key) for policies in (first, second)]
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    for run, found in zip(config.runs, scores, strict=True):
+        print(f"{run}\n{found.table()}")
+    better = improvement(*scores)
+    for name, x in better.items():
+        print(
+            f"A seed of the first run has more {name} than one of the second with probability "
+            f"{x['probability']:.0%} (95 % interval {x['low']:.0%} to {x['high']:.0%})"
+        )
+    if config.json:
+        sides = [found.summary() for found in scores]
+        line = record(
+            "comparison", runs=list(config.runs), first=sides[0], second=sides[1], **better
+        )
+        append_record(config.json, line)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,111 @@
+"""What the policies of several seeds score over the same episodes, and what that says of their setting."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from agym_jax.policy.agents import AnyPolicy
+
+from .evaluator import Evaluator
+from .score import EvaluationResult
+from .statistics import bootstrap_interval, iqm
+
+
+@dataclass(frozen=True)
+class SeedScores:
+    """Results of each seed of one setting.
+
+    Attributes:
+        results: seed -> its evaluation, over the same episodes.
+    """
+
+    results: Mapping[int, EvaluationResult]
+
+    @property
+    def successes(self) -> np.ndarray:
+        """1 where an episode was a success (seeds, episodes)."""
+        return np.stack([np.asarray(x.successes, float) for x in self.results.values()])
+
+    @property
+    def returns(self) -> np.ndarray:
+        """Returns (seeds, episodes)."""
+        return np.stack([x.returns for x in self.results.values()])
+
+    @property
+    def best(self) -> int:
+        """The seed with most successes, of equal ones that of the highest return."""
+        return max(
+            self.results, key=lambda s: (self.results[s].success, self.results[s].returns.mean())
+        )
+
+    @property
+    def worst(self) -> int:
+        """The seed with fewest successes, of equal ones that of the lowest return."""
+        return min(
+            self.results, key=lambda s: (self.results[s].success, self.results[s].returns.mean())
+        )
+
+    def table(self) -> str:
+        """The seeds, and what they make together, for people."""
+        first = next(iter(self.results.values()))
+        lines = [f"{first.env}, {len(self.results)} seeds, {first.episodes} episodes each"]
+        for seed, x in self.results.items():
+            lines.append(
+                f"  seed {seed:<4} success {x.success:6.1%}   return {x.returns.mean():9.2f}   "
+                f"force {x.forces.mean():6.2f} N"
+            )
+        for name, scores, form in (
+            ("success", self.successes, "{:.1%}"),
+            ("return", self.returns, "{:.2f}"),
+        ):
+            low, high = bootstrap_interval(scores)
+            shown = [form.format(x) for x in (iqm(scores.mean(1)), low, high)]
+            lines.append(
+                "  interquartile mean of {}: {}   95 % interval {} to {}".format(name, *shown)
+            )
+        return "\n".join(lines)
+
+    def summary(self) -> dict[str, Any]:
+        """The same for a JSON line."""
+        first = next(iter(self.results.values()))
+        success, returns = bootstrap_interval(self.successes), bootstrap_interval(self.returns)
+        return {
+            "env": first.env,
+            "episodes": first.episodes,
+            "seeds": list(self.results),
+            "success_of_seeds": [x.success for x in self.results.values()],
+            "return_of_seeds": [float(x.returns.mean()) for x in self.results.values()],
+            "force_of_seeds": [float(x.forces.mean()) for x in self.results.values()],
+            "success_iqm": iqm(self.successes.mean(1)),
+            "success_iqm_low": success[0],
+            "success_iqm_high": success[1],
+            "return_iqm": iqm(self.returns.mean(1)),
+            "return_iqm_low": returns[0],
+            "return_iqm_high": returns[1],
+            "worst": self.worst,
+            "best": self.best,
+            "nan_episodes": sum(int(x.nan.sum()) for x in self.results.values()),
+            "overflow": sum(x.overflow for x in self.results.values()),
+        }
+
+
+def score_seeds(
+    evaluator: Evaluator,
+    policies: Mapping[int, AnyPolicy],
+    key: jax.Array,
+    deterministic: bool = True,
+) -> SeedScores:
+    """Run the same episodes with the policy of each seed.
+
+    Args:
+        evaluator: of the environment.
+        policies: seed -> policy.
+        key: decides the episodes.
+        deterministic: take the mode of the policies' distributions.
+    """
+    return SeedScores({s: evaluator(p, key, deterministic) for s, p in policies.items()})

@@ -1,0 +1,109 @@
+"""Several trainings side by side, one for each seed: one batch of environments, many learners.
+
+The environments of all seeds are one flat batch, seed after seed, because a simulator steps one large batch faster
+than several small ones. All that learns (networks, optimisers, statistics, random keys, hyper-parameters) has a
+leading axis of seeds, and what reads it is vmapped over that axis. Seed s learns as it would alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from agym_jax.policy.policy import Policy
+
+from .agents import Agents, LearnerState
+from .ppo import Hyper
+from .rollout import Batch
+
+
+def seed_keys(seed: int, count: int) -> jax.Array:
+    """The random key of a seed (2,); if there are several, those of ``seed, seed + 1, ...`` (count, 2)."""
+    keys = jnp.stack([jax.random.PRNGKey(seed + i) for i in range(count)])
+    return keys if count > 1 else keys[0]
+
+
+class SideBySide:
+    """As ``Agents``, with a leading axis of seeds in all that learns.
+
+    Args:
+        agents: of one training.
+        count: of the trainings.
+
+    Attributes:
+        axes: the leading axes of the learner.
+    """
+
+    def __init__(self, agents: Agents, count: int) -> None:
+        self.single, self.count, self.axes = agents, count, (count,)
+        self.config, self.trainer, self.losses = agents.config, agents.trainer, agents.losses
+
+    def init(self, keys: jax.Array) -> LearnerState:
+        """Agents that have seen nothing, from the key of each seed (seeds, 2)."""
+        return jax.vmap(self.single.init)(keys)
+
+    def act(
+        self, learner: LearnerState, obs: jax.Array, keys: jax.Array
+    ) -> tuple[jax.Array, jax.Array, dict[str, jax.Array]]:
+        """As ``Agents.act``, for the environments of all seeds (B, observation)."""
+        own = obs.reshape(self.count, -1, *obs.shape[1:])
+        acted = jax.vmap(self.single.act)(learner, own, keys)
+        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), acted)
+
+    def learn(
+        self,
+        learner: LearnerState,
+        batch: Batch,
+        last: jax.Array,
+        keys: jax.Array,
+        hyper: Hyper,
+        axis: str | None = None,
+    ) -> tuple[LearnerState, dict[str, jax.Array]]:
+        """As ``Agents.learn``, of each seed from its own environments; where ``hyper.learns`` is 0, nothing changes.
+
+        Returns:
+            The learners, and losses (seeds,).
+        """
+
+        def one(
+            learner: LearnerState, batch: Batch, last: jax.Array, key: jax.Array, hyper: Hyper
+        ) -> tuple[LearnerState, dict[str, jax.Array]]:
+            return self.single.learn(learner, batch, last, key, hyper, axis)
+
+        by_seed = jax.tree.map(lambda x: x.reshape(x.shape[0], self.count, -1, *x.shape[2:]), batch)
+        last = last.reshape(self.count, -1, *last.shape[1:])
+        learned, losses = jax.vmap(one, in_axes=(0, 1, 0, 0, 0))(
+            learner, by_seed, last, keys, hyper
+        )
+
+        def chosen(new: jax.Array, old: jax.Array) -> jax.Array:
+            learns = hyper.learns.reshape(-1, *(1 for _ in new.shape[1:])) > 0
+            return jnp.where(learns, new, old)
+
+        return jax.tree.map(chosen, learned, learner), losses
+
+    def hyper(self, total_steps: float) -> Hyper:
+        """The hyper-parameters of all seeds, NumPy arrays (seeds,) each."""
+        one = self.single.hyper(total_steps)
+        return jax.tree.map(lambda x: np.full(self.count, x, np.float32), one)
+
+    def of_seeds(self, learner: LearnerState) -> list[LearnerState]:
+        """The learner of each seed."""
+        return [jax.tree.map(lambda x, i=i: x[i], learner) for i in range(self.count)]
+
+    def policies(self, learner: LearnerState, info: Mapping[str, Any]) -> dict[str, Policy]:
+        """As ``Agents.policies``, of the learner of one seed."""
+        return self.single.policies(learner, info)
+
+    def compatibility(self) -> dict[str, Any]:
+        """As ``Agents.compatibility``."""
+        return {**self.single.compatibility(), "num_seeds": self.count}
+
+
+def keep_learner(learner: LearnerState, kept: LearnerState, index: int) -> LearnerState:
+    """The learners, but with that of one seed from ``kept``."""
+    return jax.tree.map(lambda new, old: new.at[index].set(old[index]), learner, kept)

@@ -1,0 +1,145 @@
+"""Which seed of a run to use: ``agym-jax select trained_models/ScratchItchJaco-v0``.
+
+Measures the policy of every seed of a run that had several (``--num-seeds``), chooses the best one over one set of
+people, and measures that one again over others: a figure of the people that it was chosen for would flatter it. The
+chosen policy is copied into the run's folder, where ``evaluate``, ``enjoy`` and ``agym_jax.load_policy`` find it.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import tyro
+
+from agym_jax.data.npz import check_writable
+from agym_jax.errors import AgymError, PolicyNotFoundError
+from agym_jax.policy.agents import AnyPolicy
+from agym_jax.policy.files import FILE_NAMES, load_policy
+
+from .configs import Count
+from .envs import make_env
+from .errors import ConfigError
+from .evaluation.evaluator import Evaluator
+from .evaluation.score import EvaluationResult
+from .evaluation.seed_scores import SeedScores, score_seeds
+from .runs.record import append_record, record
+
+
+@dataclass(frozen=True)
+class SelectConfig:
+    """Flags of ``agym-jax select``."""
+
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """Folder of a run with several seeds, such as trained_models/ScratchItchJaco-v0."""
+    num_episodes: Count = 1000
+    """Episodes of each policy, all side by side."""
+    seed: int = 2001
+    """Seed of the episodes over which a seed is chosen."""
+    report_seed: int = 1001
+    """Seed of the episodes over which the chosen one is reported."""
+    impl: str = "auto"
+    """Physics: "jax", "warp" or "auto"."""
+    json: str | None = None
+    """File to which the result is added as a JSON line."""
+
+
+def seed_folders(run: Path) -> dict[int, Path]:
+    """Seed -> folder, of a run's seeds in order.
+
+    Raises:
+        PolicyNotFoundError: there are none; says what a run with several seeds looks like.
+    """
+    found = {
+        int(path.name.removeprefix("seed_")): path
+        for path in run.glob("seed_*")
+        if re.fullmatch(r"seed_\d+", path.name) and (path / FILE_NAMES["robot"]).is_file()
+    }
+    if not found:
+        raise PolicyNotFoundError(
+            f"{run} has no policies of several seeds (looked for {run / 'seed_1' / 'policy.npz'} and the "
+            f"like). agym-jax train --num-seeds 8 makes them; the folder is <save-dir>/<environment>."
+        )
+    return dict(sorted(found.items()))
+
+
+def load_seeds(
+    run: Path, make: Callable[[str, str], Any], impl: str
+) -> tuple[Any, dict[int, AnyPolicy]]:
+    """The environment of a run, and the policy of each of its seeds.
+
+    Raises:
+        PolicyNotFoundError: there are none.
+        PolicyEnvironmentError, PolicyLayoutError: they do not fit the environment.
+    """
+    folders = seed_folders(run)
+    env = make(run.name, impl)
+    return env, {seed: load_policy(folder, env) for seed, folder in folders.items()}
+
+
+def select(
+    env: Any, policies: dict[int, AnyPolicy], config: SelectConfig
+) -> tuple[SeedScores, EvaluationResult]:
+    """Measure all, choose the best, measure that again.
+
+    Raises:
+        ConfigError: it would be chosen and reported over the same episodes, or over none.
+    """
+    if config.seed == config.report_seed:
+        raise ConfigError(
+            f"--seed and --report-seed are both {config.seed}: a policy must not be reported over the "
+            f"episodes for which it was chosen. Choose another --report-seed."
+        )
+    if config.num_episodes < 1:
+        raise ConfigError(f"num_episodes must be at least 1, got {config.num_episodes}.")
+    evaluator = Evaluator(env, config.num_episodes)
+    scores = score_seeds(evaluator, policies, jax.random.PRNGKey(config.seed))
+    return scores, evaluator(policies[scores.best], jax.random.PRNGKey(config.report_seed))
+
+
+def main(
+    arguments: Sequence[str] | None = None,
+    make: Callable[[str, str], Any] = make_env,
+    prog: str = f"python -m {__package__}.select",
+) -> int:
+    """The command line; returns the exit status."""
+    config = tyro.cli(SelectConfig, prog=prog, args=arguments, description=__doc__)
+    run = Path(config.run).resolve()
+    try:
+        if config.json:
+            check_writable(Path(config.json).parent, "Choose another file with --json.")
+        env, policies = load_seeds(run, make, config.impl)
+        scores, reported = select(env, policies, config)
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    for name in set(FILE_NAMES.values()):
+        if (path := seed_folders(run)[scores.best] / name).is_file():
+            shutil.copyfile(path, run / name)
+    print(scores.table())
+    print(f"Chosen: seed {scores.best}, now {run / FILE_NAMES['robot']}. Over other people:")
+    print(reported.table())
+    if config.json:
+        summary = reported.summary()
+        line = record(
+            "selection",
+            **scores.summary(),
+            chosen=scores.best,
+            chosen_over=config.seed,
+            reported_over=config.report_seed,
+            impl=str(getattr(env, "impl", config.impl)),
+            **{f"chosen_{name}": summary[name] for name in (
+                "success", "success_low", "success_high", "return_mean", "return_std", "force_mean")},
+        )  # fmt: skip
+        append_record(config.json, line)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

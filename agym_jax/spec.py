@@ -138,6 +138,7 @@ class RobotSpec:
     start_rotations: Mapping[str, Quat] = field(default_factory=dict)  # task -> hand orientation
     searches: Mapping[str, BaseSearch] = field(default_factory=dict)  # task -> where to look
     base_height: float = 0.0  # of the base of a robot that stands on the floor [m]
+    friction: float = 0.5  # of its material, see ``sim.contacts.pair_friction``
     meshes: tuple[MeshModel | MeshPart, ...] = ()  # what it may look like in pictures
 
     def arm(self, side: str) -> Arm:
@@ -166,7 +167,12 @@ class RobotSpec:
 
 @dataclass(frozen=True)
 class ToolSpec:
-    """A tool held rigidly in the hand."""
+    """A tool held rigidly in the hand.
+
+    Its geoms touch the person. Several capsules may stand for one part whose shape is not round: they count
+    as one contact, with the sum of their forces at the centre of pressure. A tool that has many of them has
+    an ``outline``: one capsule that touches everything but the arm that is helped, in their place.
+    """
 
     name: str
     model: str  # asset
@@ -174,6 +180,9 @@ class ToolSpec:
     tip: str  # site that the task calls the tool's position
     geoms: tuple[str, ...]  # collision geoms, capsules and spheres, the working ones first
     n_working: int = 1  # how many of them do the work
+    parts: tuple[int, ...] = ()  # how many geoms, in order, make up each part; () is one each
+    outline: str = ""  # collision geom for other limbs and the seat; "" is the working ones
+    friction: float = 0.5  # of its material, see ``sim.contacts.pair_friction``
 
 
 @dataclass(frozen=True)
@@ -192,7 +201,7 @@ class SeatSpec:
     name: str
     model: str  # asset
     geoms: tuple[str, ...]  # collision geoms that a tool, hand or limb may touch
-    friction: float = 0.5  # against the person
+    friction: float = 0.5  # of its material, see ``sim.contacts.pair_friction``
     front: tuple[Vec3, Vec3] | None = None  # where the camera "front" stands and looks, world [m]
     bears_upper_arm: bool = False  # whether the upper arm may rest on it, not only forearm and hand
     props: tuple[Prop, ...] = ()  # what stands around it
@@ -220,6 +229,7 @@ class HumanSpec:
     postures: str = ""  # bank of settled postures that replaces ``pose``, see person.posture
     pose_range: Mapping[str, float] = field(default_factory=dict)  # joint -> uniform draw +- [rad]
     links: tuple[str, ...] = ()  # further links whose poses the task asks for
+    friction: float = 0.5  # of skin, see ``sim.contacts.pair_friction``
 
     def moving(self, active: bool) -> tuple[str, ...]:
         """Joints that are hinges in the scene, in action order."""

@@ -1,9 +1,16 @@
-"""Which geoms may touch which: pairs by what their force means, by names with prefixes."""
+"""Which geoms may touch which: pairs by what their force means, by names with prefixes.
+
+DEVIATION(friction-pyramid): MuJoCo's pyramidal cone bounds the sum of both tangential forces: friction is AG's along two
+directions of the contact and 71 % of it between them, 79 % on average. Bullet's cone is round. Pyramids take fewer
+steps of the solver in MJX.
+DEVIATION(no-rolling): contacts of tools and robots resist sliding only. AG's scratcher and wiper also resist rolling and
+spinning on the person, with 0.0005 m: 5 N make 0.0025 N m, 0.3 % of a motor's torque.
+"""
 
 from __future__ import annotations
 
 from agym_jax.human import body
-from agym_jax.spec import Arm, Task
+from agym_jax.spec import Arm, RobotSpec, Task
 
 SELF_CONTACTS = (
     ("upper_arm", "chest"), ("forearm", "chest"), ("forearm", "waist"), ("forearm", "thigh"),
@@ -25,19 +32,23 @@ def contact_pairs(
 
     The hand and the tool's working part may touch every limb of ``task.human.limbs``; the other
     links and the rest of the tool the arm that is helped, the links also the thigh beneath it.
+    The outline of a tool that has one takes the place of its working part but for that arm.
     """
-    limbs = task.human.limbs
+    limbs = body.shapes_of(task.human.limbs)
     arm = [x for x in limbs if x.split("_", 1)[-1] in ("upper_arm", "forearm", "hand")]
     near = [*arm, *(x for x in limbs if x.endswith("thigh"))]
     seat = [f"seat/{g}" for g in task.seat.geoms]
     pairs: dict[str, list[tuple[str, str]]] = {}
     for prefix in tool_prefixes(task, arms):
-        parts = [f"{prefix}{g}" for g in task.tool.geoms]  # pyrefly: ignore
-        working, rest = parts[: task.tool.n_working], parts[task.tool.n_working :]  # pyrefly: ignore
-        pairs[f"{prefix}human"] = [(g, f"human/{x}") for g in working for x in limbs] + [
-            (g, f"human/{x}") for g in rest for x in arm
+        tool = task.tool
+        assert tool is not None  # or there were no prefixes
+        geoms = [f"{prefix}{g}" for g in tool.geoms]
+        coarse = [f"{prefix}{tool.outline}"] if tool.outline else geoms[: tool.n_working]
+        others = [x for x in limbs if x not in arm]
+        pairs[f"{prefix}human"] = [(g, f"human/{x}") for g in geoms for x in arm] + [
+            (g, f"human/{x}") for g in coarse for x in others
         ]
-        pairs[f"{prefix}seat"] = [(g, x) for g in working for x in seat]
+        pairs[f"{prefix}seat"] = [(g, x) for g in coarse for x in seat]
     pairs["robot_human"], pairs["robot_seat"] = [], []
     for each in arms:
         hand, *links = (f"robot/{g}" for g in each.links)
@@ -49,11 +60,56 @@ def contact_pairs(
     pairs["human_seat"] = [(f"human/{x}", g) for x in outer for g in seat]
     side = task.human.arm
     pairs["human_self"] = [
-        (f"human/{side}_{a}", f"human/{side}_{b}" if b == "thigh" else f"human/{b}")
+        (f"human/{side}_{a}", f"human/{side}_{c}" if b == "thigh" else f"human/{c}")
         for a, b in SELF_CONTACTS
+        for c in (body.shapes_of([b]) or (b,))
         if f"{side}_{a}" in free and (f"{side}_{b}" if b == "thigh" else b) in limbs
     ]
     return pairs
+
+
+def touch_rows(task: Task, pairs: list[tuple[str, str]]) -> tuple[list[int], list[bool]]:
+    """Which pairs of a tool and the person count as one contact: those of one part and one limb.
+
+    Args:
+        task: of the scene.
+        pairs: a value of ``contact_pairs`` whose key ends in "human".
+
+    Returns:
+        for each pair the number of its contact, and for each contact whether the tool's working part makes it.
+    """
+    tool = task.tool
+    assert tool is not None
+    sizes = tool.parts or (1,) * len(tool.geoms)
+    part = dict(zip(tool.geoms, (i for i, n in enumerate(sizes) for _ in range(n)), strict=True))
+    part[tool.outline] = len(sizes)
+    works = set(tool.geoms[: tool.n_working])
+    seen: dict[tuple[int, str], int] = {}
+    rows, working = [], []
+    for geom, limb in pairs:
+        name = geom.partition("/")[2]
+        key = (part[name], body.SHAPES[limb.partition("/")[2]])
+        if key not in seen:
+            seen[key] = len(seen)
+            working.append(name in works)
+        rows.append(seen[key])
+    return rows, working
+
+
+def pair_friction(kind: str, task: Task, robot: RobotSpec) -> float:
+    """Coefficient of friction of one kind of pair: the product of both materials', as in Bullet.
+
+    Args:
+        kind: a key of ``contact_pairs``.
+        task: of the scene.
+        robot: of the scene.
+    """
+    materials = {
+        "human": task.human.friction, "self": task.human.friction, "seat": task.seat.friction,
+        "robot": robot.friction, "tool": task.tool.friction if task.tool is not None else 0.0,
+    }  # fmt: skip
+    one, other = kind.replace("/", "_").replace("tool2", "tool").split("_")
+    return materials[one] * materials[other]
 
 
 def is_sensed(kind: str) -> bool:

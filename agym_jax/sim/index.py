@@ -18,8 +18,9 @@ class ToolIndex:
     joints: np.ndarray  # joint ids of the arm that moves it                    (n,)
     dofs: np.ndarray  # their dof addresses                                     (n,)
     # sensordata addresses of contact sensors, Index.TOUCH numbers each
-    on_human: np.ndarray  # against the person                                 (n_touch,)
-    working: np.ndarray  # whether that is the working part, float              (n_touch,)
+    on_human: np.ndarray  # against the person                                 (n_pairs,)
+    contact: np.ndarray  # which contact of a part and a limb they belong to    (n_pairs,)
+    working: np.ndarray  # whether the working part makes that, float           (n_touch,)
     on_seat: np.ndarray  # against furniture                                    (n,)
 
 
@@ -27,8 +28,8 @@ class ToolIndex:
 class Index:
     """Where things are in ``mjx.Model`` and ``mjx.Data``. All arrays are int32 NumPy arrays.
 
-    Rows of the person's arrays are the links that the physics model has; those of the joints follow
-    the action, as those of the robot's arms do.
+    Rows of the person's arrays are the links and shapes that the physics model has; those of the joints
+    follow the action, as those of the robot's arms do.
     """
 
     robot_joint: np.ndarray  # joint ids of the arms in use                   (n_arm,)
@@ -43,8 +44,9 @@ class Index:
     human_qpos: np.ndarray  # qpos addresses                                 (n_person,)
     human_dof: np.ndarray  # dof addresses                                   (n_person,)
     links: tuple[str, ...]  # the person's links in the model, in row order
-    human_row: np.ndarray  # rows of person.body.LINKS                       (n_links,)
+    human_row: np.ndarray  # rows of human.body.LINKS                        (n_links,)
+    shape_row: np.ndarray  # rows of human.body.SHAPES                       (n_shapes,)
     human_body: np.ndarray  # body ids                                       (n_links,)
-    human_geom: np.ndarray  # collision geom ids: capsules and spheres       (n_links,)
+    human_geom: np.ndarray  # collision geom ids: capsules and spheres       (n_shapes,)
 
     TOUCH = 6  # numbers of a contact sensor: force [N] (3), position [m] (3)

@@ -27,7 +27,13 @@ from agym_jax.human import anthropometry, body
 from agym_jax.human import pose as human_pose
 from agym_jax.human.model import build as build_human
 from agym_jax.rendering.meshes import VISUALS, add_meshes
-from agym_jax.sim.contacts import contact_pairs, is_sensed, tool_prefixes
+from agym_jax.sim.contacts import (
+    contact_pairs,
+    is_sensed,
+    pair_friction,
+    tool_prefixes,
+    touch_rows,
+)
 from agym_jax.sim.index import Index, ToolIndex
 from agym_jax.sim.validate import check_robot, check_seat, check_task, check_tool
 from agym_jax.spec import Arm, Pose, RobotSpec, Surface, Task, ToolSpec, Vec3
@@ -40,7 +46,6 @@ MAX_CONTACTS = 8
 SKIN_SOLREF = (0.04, 1.0)
 SKIN_SOLIMP = (0.7, 0.95, 0.01, 0.5, 2.0)
 """Soft skin: the constraint's time constant is two physics steps, the shortest that is stable."""
-FRICTION = 0.5  # AG: lateral friction of person, tool and furniture
 SURFACE_RADIUS = 0.002  # half thickness of what is drawn [m]
 
 
@@ -153,7 +158,7 @@ def compose(
     for i, surface in enumerate(surfaces):
         _add_surface(spec, f"surface_{i}", surface)
     _add_motors(spec, task, arms)
-    _add_contacts(spec, task, contact_pairs(task, arms, moving))
+    _add_contacts(spec, task, robot, contact_pairs(task, arms, moving))
     if not everything:
         _make_lean(spec, f"robot/{robot_root}", links)
     return spec.compile()
@@ -284,13 +289,13 @@ def _add_motors(spec: mujoco.MjSpec, task: Task, arms: tuple[Arm, ...]) -> None:
 
 
 def _add_contacts(
-    spec: mujoco.MjSpec, task: Task, touches: dict[str, list[tuple[str, str]]]
+    spec: mujoco.MjSpec, task: Task, robot: RobotSpec, touches: dict[str, list[tuple[str, str]]]
 ) -> None:
     bits = (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)) | (
         1 << int(mujoco.mjtConDataField.mjCONDATA_POS)
     )
     for kind, pairs in touches.items():
-        friction = task.seat.friction if kind == "human_seat" else FRICTION
+        friction = pair_friction(kind, task, robot)
         for a, b in pairs:
             spec.add_pair(
                 name=f"{a}|{b}", geomname1=a, geomname2=b, condim=3,
@@ -335,14 +340,14 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[st
         if task.tool is None:
             tip = ids(o.mjOBJ_SITE, [f"robot/{arm.end_effector}"])[0]
             geoms = ids(o.mjOBJ_GEOM, [f"robot/{arm.links[0]}"])
-            on_human, on_seat, working = empty, empty, np.zeros(0, np.float32)
+            on_human, on_seat, contact, working = empty, empty, empty, np.zeros(0, np.float32)
         else:
             prefix = tool_prefixes(task, arms)[i]
             tip = ids(o.mjOBJ_SITE, [f"{prefix}{task.tool.tip}"])[0]
             geoms = ids(o.mjOBJ_GEOM, [f"{prefix}{g}" for g in task.tool.geoms])
             on_human, on_seat = sensors[f"{prefix}human"], sensors[f"{prefix}seat"]
-            parts = {f"{prefix}{g}" for g in task.tool.geoms[: task.tool.n_working]}
-            working = np.array([a in parts for a, _ in pairs[f"{prefix}human"]], np.float32)
+            rows, works = touch_rows(task, pairs[f"{prefix}human"])
+            contact, working = np.array(rows, np.int32), np.array(works, np.float32)
         return ToolIndex(
             body=int(model.site_bodyid[tip]),
             quat=model.site_quat[tip].astype(np.float32),
@@ -351,6 +356,7 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[st
             joints=joints,
             dofs=model.jnt_dofadr[joints],
             on_human=on_human,
+            contact=contact,
             working=working,
             on_seat=on_seat,
         )
@@ -374,8 +380,11 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[st
         human_dof=model.jnt_dofadr[human_joint],
         links=lean,
         human_row=np.array([i for i, x in enumerate(body.LINKS) if x.name in lean], np.int32),
+        shape_row=np.array([i for i, x in enumerate(body.SHAPES.values()) if x in lean], np.int32),
         human_body=ids(o.mjOBJ_BODY, links),
-        human_geom=ids(o.mjOBJ_GEOM, links),
+        human_geom=ids(
+            o.mjOBJ_GEOM, [f"human/{x}" for x, link in body.SHAPES.items() if link in lean]
+        ),
     )
 
 

@@ -28,8 +28,8 @@ from agym_jax.sim.index import Index, ToolIndex
 class ToolContactSums:
     """Sums of one tool's contact sensors over physics steps."""
 
-    force: Array  # normal force of each tool-person pair [N]               (n_touch,)
-    moment: Array  # force times contact point [N m]                        (n_touch, 3)
+    force: Array  # normal force of each tool-person pair of geoms [N]      (n_pairs,)
+    moment: Array  # force times contact point [N m]                        (n_pairs, 3)
     seat: Array  # [N]                                                      ()
 
 
@@ -175,8 +175,9 @@ def _sense_tool(
     centre = jnp.asarray(data.geom_xpos)
     along = jnp.asarray(data.geom_xmat).reshape(-1, 3, 3)[:, :, 2] * sizes[:, 1:2]
     capsule = lambda ids: (centre[ids], along[ids], sizes[ids, 0])  # noqa: E731
-    force = contacts.force / n_steps
-    where = contacts.moment / jnp.where(contacts.force > 0, contacts.force, 1.0)[:, None]
+    total, moment = (_per_contact(tool, x) for x in (contacts.force, contacts.moment))
+    force = total / n_steps
+    where = moment / jnp.where(total > 0, total, 1.0)[:, None]
     on_human = jnp.sum(force)
     return ToolSensed(
         pos_w=tip,
@@ -189,3 +190,15 @@ def _sense_tool(
         on_human=on_human,
         force=on_human + contacts.seat / n_steps,
     )
+
+
+def _per_contact(tool: ToolIndex, pairs: Array) -> Array:
+    """Sums over the pairs of geoms that make up each contact (n_touch, ...).
+
+    Args:
+        tool: which pair belongs to which contact.
+        pairs: (n_pairs, ...).
+    """
+    if len(tool.contact) == len(tool.working):
+        return pairs  # one each
+    return jax.ops.segment_sum(pairs, jnp.asarray(tool.contact), len(tool.working))

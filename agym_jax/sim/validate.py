@@ -84,10 +84,22 @@ def check_tool(spec: mujoco.MjSpec, tool: ToolSpec) -> None:
     _check_there(where, "geom", tool.geoms, _named(spec.geoms))
     _check_collision(f"The tool {tool.name}'s geoms", tool.geoms)
     _check_round(f"{where}: ToolSpec.geoms'", spec, tool.geoms)
+    if tool.outline:
+        _check_there(where, "geom", (tool.outline,), _named(spec.geoms))
+        _check_collision(f"The tool {tool.name}'s outline", (tool.outline,))
+        if tool.outline in tool.geoms:
+            raise SpecError(
+                f"The tool {tool.name}'s outline {tool.outline!r} is one of its geoms too."
+            )
     if not 1 <= tool.n_working <= len(tool.geoms):
         raise SpecError(
             f"The tool {tool.name} has {len(tool.geoms)} geoms, of which n_working={tool.n_working} do the "
             f"work: it must be 1 to {len(tool.geoms)}."
+        )
+    if tool.parts and (sum(tool.parts) != len(tool.geoms) or min(tool.parts) < 1):
+        raise SpecError(
+            f"The tool {tool.name}'s parts {tool.parts} must be sizes of at least 1 whose sum is the number of its "
+            f"geoms, {len(tool.geoms)}."
         )
 
 

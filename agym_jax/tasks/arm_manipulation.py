@@ -111,8 +111,8 @@ class ArmManipulation:
     arms: tuple[str, ...] = ("left", "right")
     goals: tuple[tuple[str, ...], ...] = (("right_forearm", "waist"), ("right_hand", "hips"))
     tool: ToolSpec = SCOOPER
-    # AG: friction 0.3 of the bed times 0.5 of the person
-    seat: SeatSpec = replace(BED, friction=0.15, bears_upper_arm=True)
+    # AG arm_manipulation.py reset: after the first of its two settles
+    seat: SeatSpec = replace(BED, friction=0.3, bears_upper_arm=True)
     human: HumanSpec = HumanSpec(
         joints=RIGHT_ARM,
         pose={},

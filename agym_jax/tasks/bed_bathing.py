@@ -1,12 +1,12 @@
 """BedBathing: wipe the right arm of a person who lies in bed.
 
 Assistive Gym v0.1 ``bed_bathing.py`` (reference tasks.md section 3). Points cover the skin of the
-upper arm and the forearm in rings, underside included; a pad that presses on the person wipes those
-within 2.5 cm of its face. 30 % of them are a success. Nobody observes which are left.
+upper arm and the forearm in rings, underside included; a pad that touches the person wipes those
+within 2.5 cm of the contact. 30 % of them are a success. Nobody observes which are left.
 
-DEVIATION(wiper-shape): for contact the pad is a capsule as wide and as long as AG's flat box, and its
-plate another. AG wipes around each contact point; Bullet spreads up to four of them over the pad's face
-(and keeps points up to 2 cm off), a capsule has one. So the whole face wipes while the pad presses.
+DEVIATION(wiper-shape): pad and plate are the rims of their lower faces, 1 mm thick; a sphere sinks 2 mm into the pad's
+face. All contacts of the pad with one limb count as one, at their centre of pressure: Bullet had one contact in 95 % of
+the recorded presses.
 DEVIATION(bathing-tremor): a still person is welded to the bed, tremor included, as in AG.
 """
 
@@ -22,7 +22,6 @@ from jax import Array
 
 from agym_jax.furniture import BED
 from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
-from agym_jax.math3d import rotate_inverse
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
@@ -44,10 +43,7 @@ class Config:
     wiping: float = 5.0  # wiping_reward_weight
     wiped: float = 0.3  # task_success_threshold, of all points
     spacing: float = 0.03  # [m] between points, AG bed_bathing.py generate_targets
-    reach: float = (
-        0.025  # [m] from the pad's face; AG: from a contact, bed_bathing.py get_total_force
-    )
-    pad: tuple[float, float] = (0.05, 0.025)  # length and width of the face [m], wiper.urdf
+    reach: float = 0.025  # [m] from a contact of the pad, AG bed_bathing.py get_total_force
     preferences: Preferences = Preferences()
 
 
@@ -92,7 +88,14 @@ WIPER = ToolSpec(
     # AG: tool z against the approach (robots.md section 9, Jaco)
     grasp=Pose((0.0, 0.0, 0.03), (_H, 0.0, -_H, 0.0)),
     tip="tool_tip",
-    geoms=("wiper_pad_collision", "wiper_plate_collision"),
+    geoms=tuple(
+        f"wiper_{part}_{edge}_collision"
+        for part in ("pad", "plate")
+        for edge in ("back", "front", "right", "left")
+    ),
+    n_working=4,
+    parts=(4, 4),
+    outline="wiper_outline_collision",
 )
 
 
@@ -110,8 +113,7 @@ class BedBathing:
     arms: tuple[str, ...] = ("left",)
     goals: tuple[tuple[str, ...], ...] = (RIGHT_ARM_LINKS,)
     tool: ToolSpec = WIPER
-    # AG: friction 5 of the bed times 0.5 of the person
-    seat: SeatSpec = replace(BED, friction=2.5)
+    seat: SeatSpec = replace(BED, friction=5.0)  # AG bed_bathing.py reset
     human: HumanSpec = HumanSpec(
         joints=RIGHT_ARM,
         pose={},
@@ -156,14 +158,13 @@ class BedBathing:
         return local * exists[:, None], exists
 
     def advance(self, state: BathState, sensed: Sensed) -> tuple[BathState, dict[str, Array]]:
-        """Move the points with the arm, and wipe those near the pad's face while it presses."""
+        """Move the points with the arm, and wipe those near a contact of the pad."""
         tool = sensed.tool
         points = _in_world(state.points_limb, sensed)
         force = tool.touch_force * tool.touch_working
-        local = rotate_inverse(tool.quat_w, points - tool.pos_w)  # from the middle of the face
-        half = jnp.array([*self.config.pad, 0.0]) / 2
-        apart = jnp.linalg.norm(local - jnp.clip(local, -half, half), axis=-1)
-        wiped = state.dirty * ((apart < self.config.reach) & jnp.any(force > 0))
+        apart = jnp.linalg.norm(points[..., None, :] - tool.touch_pos_w, axis=-1)
+        near = jnp.any((apart < self.config.reach) & (force > 0), axis=-1)
+        wiped = state.dirty * near
         state = replace(state, dirty=state.dirty - wiped, points_w=points, pad_force=jnp.sum(force))
         return state, {"wiped": jnp.sum(wiped)}
 

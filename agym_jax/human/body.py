@@ -16,7 +16,7 @@ of mass at the proximal joint.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -130,6 +130,15 @@ class Shape:
     centre: tuple[Array, Array, Array]
 
 
+SHAPES: dict[str, str] = {**{x.name: x.name for x in LINKS}, "face": "head", "nose": "head"}
+"""Collision shapes and the links they belong to: a link's own, then what else the head has."""
+
+
+def shapes_of(links: Iterable[str]) -> tuple[str, ...]:
+    """Names of the collision shapes of links, link by link, each link's own first."""
+    return tuple(s for link in links for s, owner in SHAPES.items() if owner == link)
+
+
 def offsets(link: str, d: Dims) -> tuple[Array, ...]:
     """Where each joint of a link lies, from the one before (the first from the parent) [m]."""
     side = -1.0 if link.startswith("right") else 1.0
@@ -156,11 +165,11 @@ def offsets(link: str, d: Dims) -> tuple[Array, ...]:
     return (first, *([rest] * (count - 1)))
 
 
-def shape(link: str, d: Dims) -> Shape:
-    """Collision shape of a link. AG v0.1 human_creation.py; humans.md section 3."""
-    side = -1.0 if link.startswith("right") else 1.0
+def shape(name: str, d: Dims) -> Shape:
+    """One of ``SHAPES``, in its link's frame. AG v0.1 human_creation.py; humans.md sections 3 and 4."""
+    side = -1.0 if name.startswith("right") else 1.0
     zero = 0.0 * d.mass
-    kind = link.split("_", 1)[1] if link.split("_")[0] in ("right", "left") else link
+    kind = name.split("_", 1)[1] if name.split("_")[0] in ("right", "left") else name
     middle = (zero, zero, zero)
     return {
         "chest": Shape("x", d.chest_r, d.chest_l, middle),
@@ -174,6 +183,18 @@ def shape(link: str, d: Dims) -> Shape:
             d.head_r,
             d.head_high - d.head_low,
             (zero, d.head_y, (d.head_low + d.head_high) / 2),
+        ),
+        "face": Shape(
+            "z",
+            d.face_r,
+            d.face_high - d.face_low,
+            (zero, d.face_y, (d.face_low + d.face_high) / 2),
+        ),
+        "nose": Shape(
+            "z",
+            d.nose_r,
+            d.nose_high - d.nose_low,
+            (zero, d.nose_y, (d.nose_low + d.nose_high) / 2),
         ),
         "waist": Shape("x", d.waist_r, d.waist_l, middle),
         "hips": Shape("x", d.hips_r, d.hips_l, (zero, zero, -d.pelvis_z)),
@@ -221,7 +242,7 @@ def joint_limits(names: tuple[str, ...], limit_scale: Array = 1.0, xp: Any = jnp
 
 
 class BodyFields(NamedTuple):
-    """What differs between people in a MuJoCo model; rows follow LINKS (and the free joints).
+    """What differs between people in a MuJoCo model; rows follow LINKS, SHAPES and the free joints.
 
     Links that hang on the world through welded joints only are posed in the world, the others in
     their parent's frame: flat trees are what MJX compiles and runs fastest.
@@ -232,9 +253,9 @@ class BodyFields(NamedTuple):
     body_mass: Array  # (19,)
     body_ipos: Array  # (19, 3)
     body_inertia: Array  # (19, 3)
-    geom_size: Array  # (19, 3)
-    geom_pos: Array  # (19, 3)
-    geom_rbound: Array  # (19,)
+    geom_size: Array  # (21, 3)
+    geom_pos: Array  # (21, 3)
+    geom_rbound: Array  # (21,)
     jnt_pos: Array  # (n_free, 3)
     jnt_range: Array  # (n_free, 2)
 
@@ -293,20 +314,22 @@ def fields(
             world[link.name] = (pos, quat)
         rows["body_pos"].append(pos)
         rows["body_quat"].append(quat)
-    shapes = [shape(link.name, d) for link in LINKS]
+    shapes = [shape(name, d) for name in SHAPES]
     radius, half = (
         xp.stack([xp.asarray(x) for x in values])
         for values in ([s.radius for s in shapes], [s.length / 2 for s in shapes])
     )
     masses = [link.mass * d.mass for link in LINKS]
-    inertia = [xp.stack(solid_inertia(s, m)) for s, m in zip(shapes, masses, strict=True)]
+    inertia = [
+        xp.stack(solid_inertia(s, m)) for s, m in zip(shapes[: len(LINKS)], masses, strict=True)
+    ]
     centre = xp.stack([xp.stack([xp.asarray(c) for c in s.centre]) for s in shapes])
     moving = tuple(j.name for link in LINKS if is_free(link, free) for j in link.joints)
     return BodyFields(
         body_pos=xp.stack(rows["body_pos"]),
         body_quat=xp.stack(rows["body_quat"]),
         body_mass=xp.stack([xp.asarray(m) for m in masses]),
-        body_ipos=centre,
+        body_ipos=centre[: len(LINKS)],
         body_inertia=xp.stack(inertia),
         geom_size=xp.stack([radius, half, 0.0 * radius], -1),
         geom_pos=centre,

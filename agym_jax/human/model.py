@@ -6,7 +6,15 @@ import mujoco
 import numpy as np
 
 from agym_jax.human.anthropometry import Dims
-from agym_jax.human.body import LINKS, BodyFields, is_free, parent_in_model, shape
+from agym_jax.human.body import (
+    LINKS,
+    SHAPES,
+    BodyFields,
+    is_free,
+    parent_in_model,
+    shape,
+    shapes_of,
+)
 
 SKIN = (0.87, 0.68, 0.55, 1.0)
 SHIRT = (0.36, 0.55, 0.66, 1.0)
@@ -27,7 +35,7 @@ SKIN_ARMATURE = 0.01
 def build(
     rows: BodyFields, free: tuple[str, ...], d: Dims, links: tuple[str, ...], visual: bool
 ) -> mujoco.MjSpec:
-    """The person as an MjSpec whose collision geoms carry their links' names.
+    """The person as an MjSpec whose collision geoms carry the names of ``body.SHAPES``.
 
     Args:
         rows: of ``body.fields``, in NumPy.
@@ -66,20 +74,19 @@ def build(
                 damping=1.0,  # replaced per person, see muscles.damping
             )
             n_free += 1
-        s = shape(link.name, d)
-        kind = mujoco.mjtGeom.mjGEOM_CAPSULE if s.axis else mujoco.mjtGeom.mjGEOM_SPHERE
-        looks_like_itself = link.name not in ("head",)
-        body.add_geom(
-            name=link.name,
-            type=kind,
-            size=rows.geom_size[i],
-            pos=rows.geom_pos[i],
-            quat=_AXIS_QUAT[s.axis],
-            contype=0,
-            conaffinity=0,
-            group=2 if visual and looks_like_itself else 3,
-            rgba=_colour(link.name),
-        )
+        for name in shapes_of([link.name]):
+            s, row = shape(name, d), list(SHAPES).index(name)
+            body.add_geom(
+                name=name,
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE if s.axis else mujoco.mjtGeom.mjGEOM_SPHERE,
+                size=rows.geom_size[row],
+                pos=rows.geom_pos[row],
+                quat=_AXIS_QUAT[s.axis],
+                contype=0,
+                conaffinity=0,
+                group=2 if visual and link.name != "head" else 3,
+                rgba=_colour(link.name),
+            )
     if visual:
         _dress(bodies, d)
     return spec
@@ -108,13 +115,14 @@ def _dress(bodies: dict, d: Dims) -> None:
     r, y, low, high = (float(v) for v in (d.head_r, d.head_y, d.head_low, d.head_high))
     mouth_y, mouth_z = float(d.mouth_y), float(d.mouth_z)
     middle = (low + high) / 2
-    skull = (0.96 * r, 1.12 * r, r + (high - low) / 2 - 0.004)
+    skull = (0.91 * r, 1.06 * r, r + (high - low) / 2 - 0.004)
     add("head", ellipsoid, skull, (0, y, middle), SKIN)
     # jaw and lips: the mouth lies on the surface
-    add("head", ellipsoid, (0.62 * r, 0.055, 0.045), (0, mouth_y + 0.05, mouth_z - 0.004), SKIN)
+    add("head", ellipsoid, (0.58 * r, 0.055, 0.045), (0, mouth_y + 0.05, mouth_z - 0.004), SKIN)
     add("head", ellipsoid, (0.021, 0.007, 0.007), (0, mouth_y + 0.004, mouth_z), LIPS)
-    face = y - 1.12 * r
-    add("head", ellipsoid, (0.012, 0.017, 0.018), (0, face - 0.004, mouth_z + 0.037), SKIN)
+    face = y - 1.06 * r
+    tip, nose_z = float(d.nose_y - d.nose_r), float((d.nose_low + d.nose_high) / 2)
+    add("head", ellipsoid, (0.012, 0.017, 0.018), (0, tip + 0.017, nose_z + 0.003), SKIN)
     for side in (-1, 1):
         add(
             "head",
@@ -135,7 +143,7 @@ def _dress(bodies: dict, d: Dims) -> None:
             "head",
             ellipsoid,
             (0.008, 0.014, 0.023),
-            (side * 0.97 * r, y + 0.008, middle - 0.008),
+            (side * 0.92 * r, y + 0.008, middle - 0.012),
             SKIN,
         )
     add(

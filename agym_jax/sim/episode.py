@@ -73,10 +73,11 @@ def start_qpos(scene: Scene, episode: Episode) -> Array:
 def human_rows(
     scene: Scene, spec: HumanSpec, human: population.Human, pose: human_pose.BodyPose, xp: Any = jnp
 ) -> BodyFields:
-    """The person's part of the model: rows of the scene's links."""
+    """The person's part of the model: rows of the scene's links and shapes."""
     rows = human_pose.rows(spec, pose, human.dims, scene.moving, human.limit_scale, xp)
-    per_link = [k for k in rows._fields if not k.startswith("jnt")]
-    return rows._replace(**{k: getattr(rows, k)[scene.index.human_row] for k in per_link})
+    index = scene.index
+    kept = {"body": index.human_row, "geom": index.shape_row, "jnt": slice(None)}
+    return rows._replace(**{k: x[kept[k.split("_")[0]]] for k, x in rows._asdict().items()})
 
 
 def geom_sizes(scene: Scene, episode: Episode) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agym_jax.human import anthropometry
-from agym_jax.human.body import LINKS
+from agym_jax.human.body import LINKS, SHAPES, shapes_of
 from agym_jax.human.capsules import link_capsules
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
@@ -34,7 +34,8 @@ def test_capsules_are_the_models(posed):
     pos = {x: jnp.asarray(data.body(f"human/{x}").xpos) for x in NAMES}
     rot = {x: jnp.asarray(data.body(f"human/{x}").xmat.reshape(3, 3)) for x in NAMES}
     a, b, radius = link_capsules(d, NAMES, pos, rot)
-    for i, name in enumerate(NAMES):
+    assert len(radius) == len(SHAPES) == len(NAMES) + 2
+    for i, name in enumerate(shapes_of(NAMES)):
         geom = model.geom(f"human/{name}")
         half = geom.size[1] if geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0
         axis = data.geom(f"human/{name}").xmat.reshape(3, 3)[:, 2] * half
@@ -53,7 +54,7 @@ def test_a_motion_has_a_leading_axis(posed):
     moving = {k: v + shift for k, v in pos.items()}
     turned = {k: jnp.tile(v, (4, 1, 1)) for k, v in rot.items()}
     a, b, radius = link_capsules(d, ("head", "right_hand"), moving, turned)
-    assert a.shape == b.shape == (4, 2, 3) and radius.shape == (2,)
+    assert a.shape == b.shape == (4, 4, 3) and radius.shape == (4,)  # skull, face, nose and a hand
     still_a, still_b, _ = link_capsules(d, ("head", "right_hand"), pos, rot)
     np.testing.assert_allclose(a, still_a + shift[:, None], atol=1e-6)
     np.testing.assert_allclose(b, still_b + shift[:, None], atol=1e-6)

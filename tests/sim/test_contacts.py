@@ -1,0 +1,91 @@
+# ruff: noqa: D103
+"""Which geoms may touch, with what friction, and which of them count as one contact. C MuJoCo."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from agym_jax.human import body
+from agym_jax.robots import ROBOTS
+from agym_jax.sim import sensing
+from agym_jax.sim.contacts import contact_pairs, pair_friction, touch_rows
+from agym_jax.sim.scene import build_scene
+from agym_jax.tasks import TASKS
+
+WIPE, SCRATCH, JACO = TASKS["BedBathing"], TASKS["ScratchItch"], ROBOTS["Jaco"]
+LINK_OF = {f"human/{shape}": link for shape, link in body.SHAPES.items()}
+WIPER_PAIRS = contact_pairs(WIPE, JACO.arms_for(WIPE), ())["tool/human"]
+
+
+@pytest.mark.parametrize(
+    ("task", "kind", "product"),
+    [
+        # reference ag_traces, facts: person, robot, tools, wheelchair 0.5; bed 5, then 0.3
+        ("ScratchItch", "tool/human", 0.25), ("ScratchItch", "robot_human", 0.25),
+        ("ScratchItch", "human_seat", 0.25), ("ScratchItch", "human_self", 0.25),
+        ("BedBathing", "tool/seat", 2.5), ("BedBathing", "robot_seat", 2.5),
+        ("ArmManipulation", "tool2/human", 0.25), ("ArmManipulation", "tool2/seat", 0.15),
+        ("ArmManipulation", "human_seat", 0.15),
+    ],
+)  # fmt: skip
+def test_friction_is_the_product_of_both_materials(task: str, kind: str, product: float):
+    assert pair_friction(kind, TASKS[task], JACO) == pytest.approx(product)
+    slippery = dataclasses.replace(JACO, friction=0.1)
+    expected = product / 5 if kind.startswith("robot") else product
+    assert pair_friction(kind, TASKS[task], slippery) == pytest.approx(expected)
+
+
+def test_every_pair_of_a_model_has_the_friction_of_its_kind():
+    for task, robot in itertools.product(TASKS.values(), ROBOTS.values()):
+        model = build_scene(task, robot).model
+        touches = contact_pairs(task, robot.arms_for(task), task.human.moving(False))
+        assert sum(map(len, touches.values())) == model.npair
+        for kind, pairs in touches.items():
+            rows = [model.pair(f"{a}|{b}").id for a, b in pairs]
+            expected = pair_friction(kind, task, robot)
+            np.testing.assert_allclose(model.pair_friction[rows, :2], expected, err_msg=kind)
+
+
+def test_pad_and_plate_touch_the_arm_and_the_outline_the_rest():
+    by_geom: dict[str, set[str]] = {}
+    for geom, limb in WIPER_PAIRS:
+        by_geom.setdefault(geom, set()).add(LINK_OF[limb])
+    arm = {"right_upper_arm", "right_forearm", "right_hand"}
+    outline = f"tool/{WIPE.tool.outline}"
+    assert {g for g in by_geom if g != outline} == {f"tool/{g}" for g in WIPE.tool.geoms}
+    assert all(limbs == arm for geom, limbs in by_geom.items() if geom != outline)
+    assert by_geom[outline] == set(WIPE.human.limbs) - arm
+
+
+def test_rims_of_one_part_on_one_limb_are_one_contact():
+    rows, working = touch_rows(WIPE, WIPER_PAIRS)
+    together: dict[int, set[tuple[str, str]]] = {}
+    for row, (geom, limb) in zip(rows, WIPER_PAIRS, strict=True):
+        together.setdefault(row, set()).add((geom.split("_")[1], LINK_OF[limb]))
+    assert sorted(together) == list(range(len(working)))
+    assert all(len(kinds) == 1 for kinds in together.values())  # one part, one limb
+    pads = [row for row, kinds in together.items() if {p for p, _ in kinds} == {"pad"}]
+    assert len(pads) == 3 and [i for i, w in enumerate(working) if w] == pads
+    # tools of one geom a part have a contact for each pair
+    pairs = contact_pairs(SCRATCH, JACO.arms_for(SCRATCH), ())["tool/human"]
+    assert touch_rows(SCRATCH, pairs)[0] == list(range(len(pairs)))
+
+
+def test_contact_of_a_part_has_the_sum_of_forces_at_their_centre():
+    scene = build_scene(WIPE, JACO)
+    (tool,) = scene.index.tools
+    forearm = [i for i, (g, x) in enumerate(WIPER_PAIRS) if "_pad_" in g and x.endswith("forearm")]
+    force, places = np.zeros(len(WIPER_PAIRS)), np.zeros((len(WIPER_PAIRS), 3))
+    force[forearm[:2]] = 1.0, 3.0
+    places[forearm[:2]] = (0.1, 0.0, 0.8), (0.2, 0.0, 0.8)
+    merged = sensing._per_contact(tool, jnp.asarray(force))
+    moment = sensing._per_contact(tool, jnp.asarray(force[:, None] * places))
+    (row,) = np.flatnonzero(merged)
+    assert tool.working[row] == 1.0 and row == tool.contact[forearm[0]]
+    np.testing.assert_allclose(merged[row], 4.0)
+    np.testing.assert_allclose(moment[row] / merged[row], (0.175, 0.0, 0.8), atol=1e-6)

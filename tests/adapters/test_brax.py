@@ -302,7 +302,15 @@ def test_brax_sac_learns():
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_brax_sac_runs_on_an_environment():
+def test_brax_sac_runs_on_an_environment(monkeypatch):
+    class NoEvaluator:  # whose program would be compiled for a minute; that of PPO runs in test_brax_page.py
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            pass
+
+        def run_evaluation(self, params: Any, training_metrics: dict) -> dict:
+            return training_metrics
+
+    monkeypatch.setattr(sac.acting, "Evaluator", NoEvaluator)
     env = agym_jax.make("ReachingJaco-v0", impl="jax")
     make_policy, params, metrics = sac.train(
         env,
@@ -310,11 +318,10 @@ def test_brax_sac_runs_on_an_environment():
         episode_length=env.episode_length,
         wrap_env_fn=wrap_for_brax_training,
         num_envs=4,
-        num_eval_envs=4,
         batch_size=16,
         min_replay_size=16,
     )
-    assert metrics["eval/avg_episode_length"] == 200
+    assert metrics["training/critic_loss"] > 0
     assert all(np.isfinite(value) for value in metrics.values())
     action, _ = make_policy(params)(jnp.zeros((1, env.observation_size)), jax.random.PRNGKey(0))
     assert action.shape == (1, env.action_size)

@@ -29,6 +29,14 @@ SECONDS = {
     "tests/matter/test_cloth.py": 30, "tests/matter/test_particles.py": 30,
 }  # fmt: skip
 """What the longest groups take, roughly (2 cores, cold cache)."""
+SLOW_SECONDS = {
+    "tests/sim/test_warp.py": 310, "tests/train/test_devices.py": 260,
+    "tests/docs/test_docs.py": 210, "tests/docs/test_brax_page.py": 190,
+    "tests/adapters/test_brax.py": 150, "tests/test_wheel.py": 150,
+    "tests/tasks/test_meals.py": 40, "tests/adapters/test_gymnasium.py": 35,
+    "tests/train/test_coop.py": 30, "tests/train/test_ppo.py": 15,
+}  # fmt: skip
+"""The same of the tests that are marked slow."""
 
 
 def group_of(nodeid: str) -> str:
@@ -48,7 +56,13 @@ def arrange(items: list[pytest.Item]) -> None:
         for group in {SHARED[x] for x in getattr(item, "fixturenames", ()) if x in SHARED}:
             if group_of(item.nodeid) != group:
                 raise pytest.UsageError(f"{item.nodeid} belongs into {group!r}, see {__file__}")
-    items.sort(key=lambda item: -SECONDS.get(group_of(item.nodeid), 0))
+    # pytest's own deselection by marks comes after this, and does not change the order
+    items.sort(key=lambda item: -_seconds(item, slow=item.config.option.markexpr == "slow"))
+
+
+def _seconds(item: pytest.Item, slow: bool) -> float:
+    """How long the group of a test takes, in a run of the slow tests or of the others."""
+    return (SLOW_SECONDS if slow else SECONDS).get(group_of(item.nodeid), 0)
 
 
 def scheduler(config: pytest.Config, log: Any) -> Any:

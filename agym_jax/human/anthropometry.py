@@ -7,9 +7,9 @@ sizes may also be drawn between and beyond them. All values in metres and kilogr
 works on floats, NumPy and JAX arrays alike. Heads are the same whatever the scales, as AG's meshes are.
 
 DEVIATION(head-capsules): the head is three upright capsules, fitted to rays on AG's eight or nine convex
-hulls: skull, lower face with lips, and nose. Within 25 mm of the mouth their surface is at most 3.0 mm from AG's
-(1.3 mm in the mean), over the 10 cm around it 1.7 mm in the mean and 6.5 mm at most, at the edge of the cheeks; the
-whole head with ears and neck 6 to 7 mm. One upright capsule, as before, was 16 mm behind the lips.
+hulls: skull, lower face with lips, and nose. Within 25 mm of the mouth the surfaces are at most 3.0 mm apart
+(1.3 mm in the mean), over the 10 cm around it 2.0 mm in the mean and 8.5 mm at most, where the cheeks end; the
+whole head, with ears, 5 to 6 mm in the mean. Hulls would cost more than all other contacts of a meal.
 """
 
 from __future__ import annotations
@@ -81,9 +81,9 @@ def _male(h: Scalar, r: Scalar) -> Dims:
         clavicle=0.1415 / 2 * h,
         neck_z=0.1515 * h, neck_r=0.06 * r, neck_l=0.124 * h, neck_centre=0.09 * h,
         head_z=(0.399 - 0.1415 - 0.1205) * h,
-        head_r=0.0807 + 0.0 * h, head_y=-0.0244 + 0.0 * h, head_low=0.0538 + 0.0 * h, head_high=0.119 + 0.0 * h,
-        face_r=0.0354 + 0.0 * h, face_y=-0.0768 + 0.0 * h, face_low=0.0197 + 0.0 * h, face_high=0.0654 + 0.0 * h,
-        nose_r=0.0183 + 0.0 * h, nose_y=-0.1072 + 0.0 * h, nose_low=0.0629 + 0.0 * h, nose_high=0.064 + 0.0 * h,
+        head_r=0.0798 + 0.0 * h, head_y=-0.0244 + 0.0 * h, head_low=0.0507 + 0.0 * h, head_high=0.12 + 0.0 * h,
+        face_r=0.0361 + 0.0 * h, face_y=-0.0762 + 0.0 * h, face_low=0.0236 + 0.0 * h, face_high=0.0629 + 0.0 * h,
+        nose_r=0.0164 + 0.0 * h, nose_y=-0.1079 + 0.0 * h, nose_low=0.0611 + 0.0 * h, nose_high=0.0673 + 0.0 * h,
         mouth_y=-0.11 + 0.0 * h, mouth_z=0.03 + 0.0 * h,
         shoulder_x=0.106 * r + 0.073,
         upper_arm_r=0.043 * r, upper_arm_l=0.279 * h,
@@ -107,9 +107,9 @@ def _female(h: Scalar, r: Scalar) -> Dims:
         clavicle=0.132 / 2 * h,
         neck_z=0.132 * h, neck_r=0.05 * r, neck_l=0.121 * h, neck_centre=0.09 * h,
         head_z=0.12 * h,
-        head_r=0.0711 + 0.0 * h, head_y=-0.0225 + 0.0 * h, head_low=0.0537 + 0.0 * h, head_high=0.1158 + 0.0 * h,
-        face_r=0.0369 + 0.0 * h, face_y=-0.0621 + 0.0 * h, face_low=0.0263 + 0.0 * h, face_high=0.0474 + 0.0 * h,
-        nose_r=0.0142 + 0.0 * h, nose_y=-0.0971 + 0.0 * h, nose_low=0.0515 + 0.0 * h, nose_high=0.064 + 0.0 * h,
+        head_r=0.0749 + 0.0 * h, head_y=-0.018 + 0.0 * h, head_low=0.0595 + 0.0 * h, head_high=0.1095 + 0.0 * h,
+        face_r=0.0372 + 0.0 * h, face_y=-0.0617 + 0.0 * h, face_low=0.0269 + 0.0 * h, face_high=0.0495 + 0.0 * h,
+        nose_r=0.0145 + 0.0 * h, nose_y=-0.0964 + 0.0 * h, nose_low=0.0528 + 0.0 * h, nose_high=0.0665 + 0.0 * h,
         mouth_y=-0.10 + 0.0 * h, mouth_z=0.03 + 0.0 * h,
         shoulder_x=0.092 * r + 0.067,
         upper_arm_r=0.0355 * r, upper_arm_l=0.264 * h,

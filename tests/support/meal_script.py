@@ -25,12 +25,12 @@ YAWS = np.deg2rad([0.0, 20.0, -20.0, 45.0, -45.0, 70.0, -70.0])
 SIDES = np.deg2rad([0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0])
 """From where a cup pours, besides: it is round."""
 SPOTS = np.stack(
-    np.meshgrid(np.arange(-0.03, 0.003, 0.004), [-0.02, -0.01, 0.0, 0.01, 0.02], np.arange(0.0, 0.031, 0.005), indexing="ij"), -1
+    np.meshgrid(np.arange(-0.038, 0.003, 0.004), [-0.02, -0.01, 0.0, 0.01, 0.02], np.arange(0.0, 0.031, 0.005), indexing="ij"), -1
 ).reshape(-1, 3)  # fmt: skip
 """Where its lip may pour, from the mouth: along the stream, across, up [m]."""
 STREAM = np.array([0.2, 0.35, 0.5])  # how fast water leaves the lip [m/s]
 WIDTH = np.array([-0.012, 0.0, 0.012])  # from where on it [m]
-SIP, DROP = 0.029, 0.005  # radius of the mouth and of a drop [m]
+SIP, DROP = 0.026, 0.005  # radius of the mouth, less what a plan may miss it by, and of a drop [m]
 PERIOD = 0.105  # of looks at the mouth [s]
 ELBOWS = (0.0, 0.01, 0.03)
 """How strongly joints are drawn away from their limits, in what moves the hand nowhere."""
@@ -43,6 +43,10 @@ CAREFUL = 0.85  # of the joints' greatest speed
 PATIENCE = 1.0  # control steps that a joint may be behind
 SPARE = 8  # control steps of the episode to be left at the end
 X, Y, Z = np.eye(3)
+
+
+Capsules = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Ends (k, 3) twice, radii (k,) [m]."""
 
 
 class Path(NamedTuple):
@@ -145,15 +149,13 @@ def spoonful(pos: np.ndarray, rot: np.ndarray, mouth: np.ndarray, yaw: float) ->
     return Path(*_through(keys, (40, 12, 12), FOOD_IN_SPOON))
 
 
-def spout(
-    mouth: np.ndarray, turn: float, head: tuple[np.ndarray, np.ndarray, float]
-) -> tuple[np.ndarray, float]:
+def spout(mouth: np.ndarray, turn: float, head: Capsules) -> tuple[np.ndarray, float]:
     """Where a cup's lip best pours at each tilt [m] (T, 3), and the share that should arrive.
 
     Args:
         mouth: [m] (3,).
         turn: of the stream about the vertical, from y.
-        head: its capsule.
+        head: its capsules.
     """
     towards = _turn(Z, turn) @ Y
     lips = mouth + SPOTS @ np.stack([towards, np.cross(Z, towards), Z])
@@ -174,24 +176,24 @@ def _cost(gap: np.ndarray) -> np.ndarray:
 
 
 def _arriving(
-    lips: np.ndarray, towards: np.ndarray, mouth: np.ndarray, head: tuple[np.ndarray, np.ndarray, float]
-) -> np.ndarray:  # fmt: skip
+    lips: np.ndarray, towards: np.ndarray, mouth: np.ndarray, head: Capsules
+) -> np.ndarray:
     """Share of drops from lips (L, 3) that are at the mouth when it is looked at, once a control step (L,).
 
     They fall freely, and slide down the face.
     """
-    dt, (a, b, radius) = 0.004, head
+    dt = 0.004
     across = np.repeat(WIDTH[:, None] * np.cross(Z, towards), len(STREAM), axis=0)
     pos = lips[:, None] + DROP * Z + across
     vel = np.broadcast_to(np.tile(STREAM, len(WIDTH))[:, None] * towards, pos.shape)
     time = np.zeros(pos.shape[:2])
     for _ in range(40):
         vel = vel - 9.81 * dt * Z
-        free = pos + dt * vel
-        share = np.clip((free - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)[..., None]
-        out = free - a - share * (b - a)
-        away = np.linalg.norm(out, axis=-1, keepdims=True)
-        new = free + out / away * np.maximum(radius + DROP - away, 0.0)
+        new = pos + dt * vel
+        for a, b, radius in zip(*head, strict=True):
+            out = _from_axis(a, b, new)
+            away = np.linalg.norm(out, axis=-1, keepdims=True)
+            new = new + out / away * np.maximum(radius + DROP - away, 0.0)
         vel, pos = (new - pos) / dt, new
         time += dt * (np.linalg.norm(pos - mouth, axis=-1) < SIP)
     return np.minimum(time / PERIOD, 1.0).mean(1)
@@ -230,19 +232,27 @@ def _rim() -> np.ndarray:
     return np.stack([np.cos(around), np.zeros(24), np.sin(around)], -1) * RIM_OUTSIDE
 
 
-def _off(capsule: tuple[np.ndarray, np.ndarray, float], points: np.ndarray) -> np.ndarray:
-    """Distances of points (..., 3) from a capsule [m] (...)."""
-    a, b, radius = capsule
+def _from_axis(a: np.ndarray, b: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Vectors to points (..., 3) from the nearest points between a and b [m] (..., 3)."""
     share = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)[..., None]
-    return np.linalg.norm(points - a - share * (b - a), axis=-1) - radius
+    return points - a - share * (b - a)
 
 
-def _head(env: Any, state: Any) -> tuple[np.ndarray, np.ndarray, float]:
-    """The head's capsule: ends and radius [m]."""
+def _off(capsules: Capsules, points: np.ndarray) -> np.ndarray:
+    """Distances of points (..., 3) from the nearest capsule [m] (...)."""
+    apart = [
+        np.linalg.norm(_from_axis(a, b, points), axis=-1) - r
+        for a, b, r in zip(*capsules, strict=True)
+    ]
+    return np.min(apart, axis=0)
+
+
+def _head(env: Any, state: Any) -> Capsules:
+    """The head's k capsules."""
     body = dict(zip(env.scene.index.links, env.scene.index.human_body, strict=True))["head"]
     pos, rot = np.asarray(state.data.xpos)[body], _turn_of(np.asarray(state.data.xquat)[body])
     a, b, radius = link_capsules(state.episode.human.dims, ("head",), {"head": pos}, {"head": rot})
-    return np.asarray(a)[0], np.asarray(b)[0], float(radius[0])
+    return np.asarray(a), np.asarray(b), np.asarray(radius)
 
 
 def _turn(axis: np.ndarray, angle: float) -> np.ndarray:

@@ -8,6 +8,8 @@ the front: what a spoon's bowl covers and more than the radius within which food
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
@@ -74,7 +76,7 @@ def rows() -> list[Row]:
     for sex in SEXES:
         person = Person(sex)
         found += [*_head(sex, person), *_limbs(sex, person)]
-    return found
+    return [replace(row, ag=float(row.ag), ours=float(row.ours)) for row in found]
 
 
 def _head(sex: str, person: Person) -> list[Row]:

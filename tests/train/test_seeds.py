@@ -85,10 +85,10 @@ def test_files_of_each_seed_and_a_run_resumed_whole(tmp_path):
     folder = tmp_path / "FakeReach-v0"
     assert (folder / "curve.png").stat().st_size > 10_000 and not (folder / "policy.npz").exists()
     for found in second.seeds:
-        rows = (folder / f"seed_{found.seed}" / "curve.jsonl").read_text().splitlines()
+        rows = (folder / found.name / "curve.jsonl").read_text().splitlines()
         steps = [json.loads(row)["env_steps"] for row in rows]
         assert steps == [row["env_steps"] for row in found.curve] == [640, 1280, 1920]
-        policy = read_policy(folder / f"seed_{found.seed}" / "policy.npz")
+        policy = read_policy(folder / found.name / "policy.npz")
         assert policy.info["seed"] == found.seed and policy.info["env_steps"] == 1920
         np.testing.assert_array_equal(weights({"robot": policy}), weights(found.policies))
     combined = (folder / "curve.jsonl").read_text().splitlines()

@@ -7,7 +7,8 @@ leading axis of seeds, and what reads it is vmapped over that axis. Seed s learn
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -16,15 +17,37 @@ import numpy as np
 
 from agym_jax.policy.policy import Policy
 
+from ..configs import LearnConfig
 from .agents import Agents, LearnerState
 from .ppo import Hyper
 from .rollout import Batch
 
 
-def seed_keys(seed: int, count: int) -> jax.Array:
-    """The random key of a seed (2,); if there are several, those of ``seed, seed + 1, ...`` (count, 2)."""
-    keys = jnp.stack([jax.random.PRNGKey(seed + i) for i in range(count)])
-    return keys if count > 1 else keys[0]
+@dataclass(frozen=True)
+class Lane:
+    """One of the trainings of a run.
+
+    Attributes:
+        name: its folder in that of the run.
+        seed: of its networks, environments and exploration.
+        config: settings; lanes of a run differ in what ``Hyper`` holds at most.
+    """
+
+    name: str
+    seed: int
+    config: LearnConfig
+
+
+def lanes_of(config: LearnConfig) -> list[Lane]:
+    """The trainings that a configuration asks for: one for each seed."""
+    seeds = range(config.seed, config.seed + config.num_seeds)
+    return [Lane(f"seed_{seed}", seed, config) for seed in seeds]
+
+
+def lane_keys(lanes: Sequence[Lane]) -> jax.Array:
+    """The random key of a single lane (2,), or those of several (lanes, 2)."""
+    keys = jnp.stack([jax.random.PRNGKey(lane.seed) for lane in lanes])
+    return keys if len(lanes) > 1 else keys[0]
 
 
 class SideBySide:
@@ -32,14 +55,14 @@ class SideBySide:
 
     Args:
         agents: of one training.
-        count: of the trainings.
+        lanes: the trainings.
 
     Attributes:
         axes: the leading axes of the learner.
     """
 
-    def __init__(self, agents: Agents, count: int) -> None:
-        self.single, self.count, self.axes = agents, count, (count,)
+    def __init__(self, agents: Agents, lanes: Sequence[Lane]) -> None:
+        self.single, self.lanes, self.count, self.axes = agents, lanes, len(lanes), (len(lanes),)
         self.config, self.trainer, self.losses = agents.config, agents.trainer, agents.losses
 
     def init(self, keys: jax.Array) -> LearnerState:
@@ -88,8 +111,8 @@ class SideBySide:
 
     def hyper(self, total_steps: float) -> Hyper:
         """The hyper-parameters of all seeds, NumPy arrays (seeds,) each."""
-        one = self.single.hyper(total_steps)
-        return jax.tree.map(lambda x: np.full(self.count, x, np.float32), one)
+        each = [Hyper.of(lane.config, total_steps) for lane in self.lanes]
+        return jax.tree.map(lambda *x: np.stack(x), *each)
 
     def of_seeds(self, learner: LearnerState) -> list[LearnerState]:
         """The learner of each seed."""
@@ -101,7 +124,8 @@ class SideBySide:
 
     def compatibility(self) -> dict[str, Any]:
         """As ``Agents.compatibility``."""
-        return {**self.single.compatibility(), "num_seeds": self.count}
+        names = [lane.name for lane in self.lanes]
+        return {**self.single.compatibility(), "num_seeds": self.count, "lanes": names}
 
 
 def keep_learner(learner: LearnerState, kept: LearnerState, index: int) -> LearnerState:

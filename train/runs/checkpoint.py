@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from agym_jax.policy.policy import Policy
 from ..configs import LearnConfig
 from ..errors import CheckpointMismatchError, CheckpointWarning
 from ..learning.agents import Agents
-from ..learning.seeds import SideBySide
+from ..learning.seeds import Lane, SideBySide, lanes_of
 from ..learning.sharding import to_host
 from . import record
 from .curve import Row, combine_rows
@@ -195,13 +195,14 @@ class CheckpointManager:
         config: resolved settings.
         agents: whose state it is.
         folder: where; None keeps the curves in memory only.
+        lanes: the trainings side by side; by default those of the configuration.
         writes: whether this host is the one that writes; all of them read.
 
     Attributes:
-        seeds: of the trainings side by side.
-        curves: of each seed, rows of all sessions.
-        combined: rows for all seeds together; with one seed, its curve.
-        stopped: seed -> why it was stopped.
+        lanes: the trainings side by side.
+        curves: of each lane, rows of all sessions.
+        combined: rows for all lanes together; with one lane, its curve.
+        stopped: name of a lane -> why it was stopped.
         seconds: that earlier sessions trained.
     """
 
@@ -211,14 +212,15 @@ class CheckpointManager:
         config: LearnConfig,
         agents: Agents | SideBySide,
         folder: RunFolder | None,
+        lanes: Sequence[Lane] | None = None,
         writes: bool = True,
     ) -> None:
         self._env, self._config, self._agents = env, config, agents
         self._source, self._folder = folder, folder if writes else None
-        self.seeds = [config.seed + i for i in range(config.num_seeds)]
-        self.curves: list[list[Row]] = [[] for _ in self.seeds]
-        self.combined: list[Row] = self.curves[0] if len(self.seeds) == 1 else []
-        self.stopped: dict[int, str] = {}
+        self.lanes = list(lanes or lanes_of(config))
+        self.curves: list[list[Row]] = [[] for _ in self.lanes]
+        self.combined: list[Row] = self.curves[0] if len(self.lanes) == 1 else []
+        self.stopped: dict[str, str] = {}
         self.seconds = 0.0
         self._compatibility = {
             "trainer": agents.trainer,
@@ -234,12 +236,12 @@ class CheckpointManager:
         }
 
     def _folders(self) -> list[RunFolder]:
-        """Folder of the policies and the curve of each seed; none if nothing is written."""
+        """Folder of the policies and the curve of each lane; none if nothing is written."""
         if not self._folder:
             return []
-        if len(self.seeds) == 1:
+        if len(self.lanes) == 1:
             return [self._folder]
-        return [self._folder.of_seed(seed) for seed in self.seeds]
+        return [self._folder.of_lane(lane.name) for lane in self.lanes]
 
     def resume(self, learner: Any) -> tuple[Any, Mapping[str, Any] | None]:
         """The learner to begin with, and what the newest sound checkpoint says, if there is one.
@@ -258,7 +260,7 @@ class CheckpointManager:
         meta = found.meta
         self.combined, self.seconds = meta["curve"], meta["seconds"]
         self.curves = meta.get("curves") or [self.combined]
-        self.stopped = {int(seed): why for seed, why in meta.get("stopped", {}).items()}
+        self.stopped = dict(meta.get("stopped", {}))
         return found.learner, meta
 
     def begin(self, first_steps: int) -> None:
@@ -275,25 +277,25 @@ class CheckpointManager:
             )
 
     def add(self, rows: Mapping[int, Row]) -> Row:
-        """Keep a row of the curve of each seed (by its index) that still learns; returns the one for all."""
-        row = rows[0] if len(self.seeds) == 1 else combine_rows(list(rows.values()))
+        """Keep a row of the curve of each lane (by its index) that still learns; returns the one for all."""
+        row = rows[0] if len(self.lanes) == 1 else combine_rows(list(rows.values()))
         folders = self._folders()
         for index, own in rows.items():
             self.curves[index].append(own)
             if folders:
                 folders[index].add_row(own)
-        if len(self.seeds) > 1:
+        if len(self.lanes) > 1:
             self.combined.append(row)
             if self._folder:
                 self._folder.add_row(row)
         return row
 
     def policies(self, learner: Any) -> list[Policies]:
-        """The policies of a learner by agent, for each seed."""
+        """The policies of a learner by agent, for each lane."""
         learners = self._agents.of_seeds(to_host(learner))
         return [
-            self._agents.policies(own, {**self._info, "seed": seed})
-            for seed, own in zip(self.seeds, learners, strict=True)
+            self._agents.policies(own, {**self._info, "seed": lane.seed})
+            for lane, own in zip(self.lanes, learners, strict=True)
         ]
 
     def save(self, learner: Any, seconds: float) -> None:
@@ -310,7 +312,7 @@ class CheckpointManager:
                 "seconds": self.seconds + seconds,
                 "config": dataclasses.asdict(self._config),
             }
-            if len(self.seeds) > 1:
+            if len(self.lanes) > 1:
                 meta |= {"curves": self.curves, "stopped": self.stopped}
             save_checkpoint(self._folder.checkpoints, learner, meta)
             self._save_policies(self.policies(learner))
@@ -320,13 +322,13 @@ class CheckpointManager:
             folder.save_policies(own)
 
     def finish(self, learner: Any) -> list[Policies]:
-        """Save policies and picture; returns the policies by agent, for each seed."""
+        """Save policies and picture; returns the policies by agent, for each lane."""
         policies = self.policies(learner)
         if self._folder:
             self._save_policies(policies)
-            seeds = f"seed {self.seeds[0]}"
-            if len(self.seeds) > 1:
-                seeds = f"seeds {self.seeds[0]} to {self.seeds[-1]}"
-            title = f"{self._env.name}, {self._agents.trainer}, {seeds}"
+            of = f"seed {self.lanes[0].seed}"
+            if len(self.lanes) > 1:
+                of = f"{self.lanes[0].name} to {self.lanes[-1].name}"
+            title = f"{self._env.name}, {self._agents.trainer}, {of}"
             self._folder.draw(self.combined, title)
         return policies

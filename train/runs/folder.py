@@ -34,9 +34,9 @@ class RunFolder:
         self.curve = self.path / "curve.jsonl"
         self.picture = self.path / "curve.png"
 
-    def of_seed(self, seed: int) -> RunFolder:
-        """The folder of one of several seeds, in this one: ``seed_<seed>``."""
-        return RunFolder(str(self.path), f"seed_{seed}")
+    def of_lane(self, name: str) -> RunFolder:
+        """The folder of one of several trainings, in this one."""
+        return RunFolder(str(self.path), name)
 
     def prepare(self, fresh: bool) -> Path | None:
         """Make sure that results can be written, before anything compiles.

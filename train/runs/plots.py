@@ -22,7 +22,8 @@ def plot_curve(path: Path, curve: Sequence[Mapping[str, Any]], title: str) -> No
 
     Args:
         path: PNG file to write.
-        curve: rows with ``env_steps, seconds`` and the names in ``PANELS`` (None = no data).
+        curve: rows with ``env_steps, seconds`` and the names in ``PANELS`` (None = no data). Rows of several
+            seeds have bands: the 95 % interval of the interquartile mean, and the range.
         title: shown above.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -37,10 +38,7 @@ def plot_curve(path: Path, curve: Sequence[Mapping[str, Any]], title: str) -> No
         for panel, (axis, axis_label) in zip(line, AXES, strict=True):
             steps = [row[axis] for row in rows]
             panel.plot(steps, values, color="tab:blue", marker=".", markersize=3, linewidth=1.2)
-            if name == "return":
-                spread = [row["return_std"] for row in rows]
-                low = [v - s for v, s in zip(values, spread, strict=True)]
-                high = [v + s for v, s in zip(values, spread, strict=True)]
+            for low, high in _bands(name, rows):
                 panel.fill_between(steps, low, high, color="tab:blue", alpha=0.15, linewidth=0)
             if name == "success":
                 panel.set_ylim(-0.03, 1.03)
@@ -48,7 +46,22 @@ def plot_curve(path: Path, curve: Sequence[Mapping[str, Any]], title: str) -> No
             if name == PANELS[-1][0]:
                 panel.set_xlabel(axis_label)
         line[0].set_ylabel(label)
-    figure.suptitle(title)
+    figure.suptitle(title + _LEGEND if curve and "num_seeds" in curve[-1] else title)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=120)
     write_file(path, buffer.getvalue())
+
+
+_LEGEND = "\ninterquartile mean over the seeds, its 95 % interval, and the range"
+
+
+def _bands(name: str, rows: Sequence[Mapping[str, Any]]) -> list[tuple[list[float], list[float]]]:
+    """Lower and upper ends of what is drawn around a column: over episodes, or over seeds."""
+    if rows and f"{name}_low" in rows[0]:
+        ends = ((f"{name}_low", f"{name}_high"), (f"{name}_min", f"{name}_max"))
+        return [([row[low] for row in rows], [row[high] for row in rows]) for low, high in ends]
+    if name != "return":
+        return []
+    means, spread = [row[name] for row in rows], [row["return_std"] for row in rows]
+    around = list(zip(means, spread, strict=True))
+    return [([m - s for m, s in around], [m + s for m, s in around])]

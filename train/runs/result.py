@@ -19,12 +19,14 @@ class SeedResult:
     """What one seed of a run leaves.
 
     Attributes:
+        name: of its folder.
         seed: the seed.
         policies: the trained policies by agent: "robot", "human", or "joint" for both at once.
         curve: rows of the learning curve, of all sessions.
         stopped: why it was stopped before the others; empty if it was not.
     """
 
+    name: str
     seed: int
     policies: Mapping[str, Policy]
     curve: list[Row]
@@ -102,9 +104,7 @@ def summary(result: TrainResult) -> str:
         f"in {duration(result.train_seconds)} ({result.steps_per_second:,.0f} steps/s)."
     )
     for seed in result.seeds:
-        text += (
-            f"\nSeed {seed.seed} was stopped: it diverged {seed.stopped}." if seed.stopped else ""
-        )
+        text += f"\n{seed.name} was stopped: it diverged {seed.stopped}." if seed.stopped else ""
     if result.folder:
         what = "Policy" if len(result.policies) == 1 else "Policies"
         text += f"\n{what}, curve.png, curve.jsonl, checkpoints: {result.folder}"

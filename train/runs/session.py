@@ -29,7 +29,7 @@ from ..learning.agents import Agents
 from ..learning.execution import STEPWISE, StepwiseEnv, compile_together
 from ..learning.hosts import check_agreement, join_hosts, wait_for_hosts
 from ..learning.rollout import RolloutState, fold_in, init_rollout, split_keys
-from ..learning.seeds import SideBySide, keep_learner, seed_keys
+from ..learning.seeds import Lane, SideBySide, keep_learner, lane_keys, lanes_of
 from ..learning.sharding import AXIS, device_mesh, replicate, shard, shardings, to_host
 from ..learning.update import make_updates
 from .checkpoint import CheckpointManager, Policies, steps_of
@@ -59,20 +59,22 @@ def resolve_config(env: Any, config: Config) -> tuple[Config, Mesh | None]:
 def run_session(
     env: Any,
     config: LearnConfig,
-    agents: Agents | SideBySide,
+    single: Agents,
     mesh: Mesh | None = None,
     progress: Progress | None = None,
     on_log: OnLog | None = None,
+    lanes: Sequence[Lane] | None = None,
 ) -> TrainResult:
     """Train until the number of steps is reached, or something stops it.
 
     Args:
         env: an environment (``agym_jax.make``), or a ``StepwiseEnv``.
         config: from ``resolve_config``.
-        agents: who learns.
+        single: who learns, in one training.
         mesh: from ``resolve_config``.
         progress: is told what happens; None shows nothing.
         on_log: see ``train.ppo.train``; gets policies by agent, of the first seed.
+        lanes: the trainings side by side; by default one for each seed of the configuration.
 
     Returns:
         Policies, learning curve and times.
@@ -85,12 +87,12 @@ def run_session(
     wait_for_hosts("folder")
 
     start = time.perf_counter()
-    if config.num_seeds > 1 and isinstance(agents, Agents):
-        agents = SideBySide(agents, config.num_seeds)
-    num_envs = config.num_envs * config.num_seeds
+    lanes = list(lanes or lanes_of(config))
+    agents = SideBySide(single, lanes) if len(lanes) > 1 else single
+    num_envs = config.num_envs * len(lanes)
     venv = vectorize(env, num_envs // config.devices)
-    key_learner, key_envs = split_keys(seed_keys(config.seed, config.num_seeds))
-    manager = CheckpointManager(env, config, agents, folder, writes=is_main_process)
+    key_learner, key_envs = split_keys(lane_keys(lanes))
+    manager = CheckpointManager(env, config, agents, folder, lanes, writes=is_main_process)
     learner, meta = manager.resume(jax.jit(agents.init)(key_learner))
     first_steps = steps_of(learner)
     if meta:
@@ -116,8 +118,9 @@ def run_session(
 
     progress.start(first_steps, total_steps)
     hyper = agents.hyper(total_steps)
-    for seed in manager.stopped:
-        hyper.learns[manager.seeds.index(seed)] = 0.0
+    for i, lane in enumerate(lanes):
+        if lane.name in manager.stopped:
+            hyper.learns[i] = 0.0
     start = last_save = time.perf_counter()
     env_steps, nan_steps, since_save, interrupted = first_steps, 0, 0, False
     saved_at = first_steps
@@ -137,14 +140,14 @@ def run_session(
             }
             rows = [row | about for row in rows]
             check_overflow(sum(row["overflow"] for row in rows), env.name, num_envs)
-            going = {i: x for i, x in enumerate(rows) if manager.seeds[i] not in manager.stopped}
+            going = {i: x for i, x in enumerate(rows) if lanes[i].name not in manager.stopped}
             for i, bad in [(i, x) for i, x in going.items() if diverged(x)]:
                 if len(going) == 1:
                     refuse_diverged(bad, env.name)
                 next_learner = keep_learner(next_learner, learner, i)
                 hyper.learns[i] = 0.0
-                manager.stopped[manager.seeds[i]] = diverged(going.pop(i))
-                progress.say(f"Seed {manager.seeds[i]} diverged {diverged(bad)}; the others go on.")
+                manager.stopped[lanes[i].name] = diverged(going.pop(i))
+                progress.say(f"{lanes[i].name} diverged {diverged(bad)}; the others go on.")
             learner, env_steps = next_learner, env_steps + count * batch
             row = manager.add(going)
             progress.update(row)
@@ -165,14 +168,14 @@ def run_session(
     policies = manager.finish(learner)
     return TrainResult(
         seeds=[
-            SeedResult(seed, policies[i], manager.curves[i], manager.stopped.get(seed, ""))
-            for i, seed in enumerate(manager.seeds)
+            SeedResult(x.name, x.seed, own, curve, manager.stopped.get(x.name, ""))
+            for x, own, curve in zip(lanes, policies, manager.curves, strict=True)
         ],
         learner=to_host(learner),
         config=config,
         curve=manager.combined,
         env_steps=env_steps,
-        session_steps=(env_steps - first_steps) * config.num_seeds,
+        session_steps=(env_steps - first_steps) * len(lanes),
         compile_seconds=compile_seconds,
         train_seconds=train_seconds,
         nan_steps=nan_steps,

@@ -1,0 +1,197 @@
+"""Compare settings with several seeds each, in one program: ``agym-jax sweep --env-name ID --grid lr=3e-4,1e-3``.
+
+All settings and seeds learn side by side, as with ``--num-seeds``. That is possible for hyper-parameters that are
+arguments of the compiled update (those in ``SWEPT``); others need a run of their own. ``--grid`` tries all
+combinations, ``--random`` draws some of them. The table ranks the settings by the success of their seeds at the end
+of training; measure the best ones again, with fresh seeds, before you believe it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from agym_jax.data.npz import write_file
+from agym_jax.errors import AgymError, UnknownNameError
+
+from .configs import Count, LearnConfig, PPOConfig, config_for
+from .envs import make_env, refuse_active_human
+from .errors import ConfigError
+from .evaluation.statistics import bootstrap_interval, iqm
+from .learning.agents import Agents
+from .learning.seeds import Lane
+from .runs.progress import Progress, for_terminal
+from .runs.result import TrainResult, summary
+from .runs.session import resolve_config, run_session
+
+SWEPT = (
+    "lr", "use_linear_lr_decay", "gamma", "gae_lambda", "clip_param", "value_loss_coef", "entropy_coef",
+    "entropy_decay_share", "max_grad_norm", "eps", "reward_scaling",
+)  # fmt: skip
+"""Settings that are arguments of the compiled update."""
+Setting = dict[str, float]
+
+
+@dataclass(frozen=True)
+class SweepConfig:
+    """Flags of ``agym-jax sweep``."""
+
+    env_name: str = "ReachingJaco-v0"
+    """Environment id."""
+    grid: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=A,B,... ...")] = ()
+    """Values to try of each hyper-parameter."""
+    random: Count = 0
+    """Try so many random combinations of the grid's values instead of all."""
+    num_seeds: Count = 4
+    """Seeds of each setting."""
+    num_env_steps: Count = 0
+    """Environment steps of each seed; 0 = the environment's default."""
+    num_envs: Count = 0
+    """Environments of each seed; 0 = the environment's default."""
+    seed: int = 1
+    """First seed, and that of the random combinations."""
+    impl: str = "auto"
+    """Physics: "jax", "warp" or "auto"."""
+    save_dir: str | None = "sweeps"
+    """Folder of the results. None writes nothing."""
+
+
+def parse_grid(grid: Sequence[str], random: int = 0, seed: int = 0) -> list[Setting]:
+    """The settings that ``--grid`` and ``--random`` ask for.
+
+    Raises:
+        UnknownNameError: a name is not in ``SWEPT``.
+        ConfigError: an entry is not NAME=A,B,..., or there is nothing to compare.
+    """
+    axes: dict[str, list[float]] = {}
+    for entry in grid:
+        name, _, values = entry.partition("=")
+        name = name.replace("-", "_")
+        if name not in SWEPT:
+            raise UnknownNameError("hyper-parameter to sweep", name, SWEPT)
+        try:
+            axes[name] = [float(x) for x in values.split(",")]
+        except ValueError:
+            raise ConfigError(f"--grid takes NAME=A,B,... with numbers, got {entry!r}.") from None
+    settings = [dict(zip(axes, x, strict=True)) for x in itertools.product(*axes.values())]
+    if 0 < random < len(settings):
+        chosen = np.random.default_rng(seed).permutation(len(settings))[:random]
+        settings = [settings[i] for i in sorted(chosen)]
+    if len(settings) < 2:
+        raise ConfigError("A sweep needs at least two settings: --grid lr=3e-4,1e-3.")
+    return settings
+
+
+def name_of(setting: Mapping[str, float]) -> str:
+    """A setting in words, also the name of its folder."""
+    return ",".join(f"{name}={value:g}" for name, value in setting.items())
+
+
+def lanes_of_sweep(config: LearnConfig, settings: Sequence[Setting], num_seeds: int) -> list[Lane]:
+    """The trainings of a sweep: every setting with the same seeds."""
+    kinds = {x.name: type(getattr(config, x.name)) for x in dataclasses.fields(config)}
+    return [
+        Lane(f"{name_of(setting)}/seed_{seed}", seed, changed)
+        for setting in settings
+        for changed in [
+            dataclasses.replace(config, **{name: kinds[name](x) for name, x in setting.items()})
+        ]
+        for seed in range(config.seed, config.seed + num_seeds)
+    ]
+
+
+def sweep(
+    env: Any,
+    config: PPOConfig,
+    settings: Sequence[Setting],
+    num_seeds: int,
+    progress: Progress | None = None,
+) -> TrainResult:
+    """Train all settings with all seeds; the result's ``seeds`` are in that order.
+
+    Raises:
+        ConfigError, SaveFolderError, BufferOverflowError: as ``train.ppo.train``.
+        DivergedError: all of them diverged.
+    """
+    refuse_active_human(env, config.allow_joint_observation)
+    config, mesh = resolve_config(env, config)
+    agents = Agents(config, env, ("robot" if len(env.action_sizes) == 1 else "joint",))
+    lanes = lanes_of_sweep(config, settings, num_seeds)
+    return run_session(env, config, agents, mesh, progress, lanes=lanes)
+
+
+def rank(result: TrainResult, settings: Sequence[Setting], num_seeds: int) -> list[dict[str, Any]]:
+    """What every setting gives at the end of training, the best first; a seed that diverged has no success."""
+    ranked = []
+    for i, setting in enumerate(settings):
+        seeds = result.seeds[i * num_seeds : (i + 1) * num_seeds]
+        ends = [_last(found.curve, "success") if not found.stopped else 0.0 for found in seeds]
+        success = np.array(ends)
+        low, high = bootstrap_interval(success[:, None])
+        returns = [_last(found.curve, "return") for found in seeds if found.curve]
+        ranked.append({
+            "setting": setting, "success_iqm": iqm(success), "low": low, "high": high,
+            "worst": float(success.min()), "success_of_seeds": ends,
+            "return_iqm": iqm(returns) if returns else None,
+            "diverged": sum(bool(found.stopped) for found in seeds),
+        })  # fmt: skip
+    return sorted(
+        ranked, key=lambda x: (-x["success_iqm"], -x["worst"], -(x["return_iqm"] or -1e9))
+    )
+
+
+def _last(curve: Sequence[Mapping[str, Any]], name: str) -> float:
+    """The last known value of a column of a curve, 0 if there is none."""
+    return next((row[name] for row in reversed(curve) if row.get(name) is not None), 0.0)
+
+
+def table(ranked: Sequence[Mapping[str, Any]]) -> str:
+    """The ranking for people."""
+    lines = ["success: interquartile mean (95 % interval), worst seed   return   setting"]
+    for x in ranked:
+        lost = f"   {x['diverged']} diverged" if x["diverged"] else ""
+        returned = "" if x["return_iqm"] is None else f"{x['return_iqm']:9.1f}"
+        lines.append(
+            f"{x['success_iqm']:7.1%} ({x['low']:.1%} to {x['high']:.1%}) {x['worst']:7.1%} "
+            f"{returned}   {name_of(x['setting'])}{lost}"
+        )
+    return "\n".join(lines)
+
+
+def main(
+    arguments: Sequence[str] | None = None,
+    make: Callable[[str, str], Any] = make_env,
+    prog: str = f"python -m {__package__}.sweep",
+) -> int:
+    """The command line; returns the exit status."""
+    flags = tyro.cli(SweepConfig, prog=prog, args=arguments, description=__doc__)
+    try:
+        settings = parse_grid(flags.grid, flags.random, flags.seed)
+        config = config_for(flags.env_name)
+        config = dataclasses.replace(
+            config, seed=flags.seed, impl=flags.impl, save_dir=flags.save_dir,
+            num_envs=flags.num_envs, num_env_steps=flags.num_env_steps or config.num_env_steps,
+        )  # fmt: skip
+        env = make(flags.env_name, flags.impl)
+        result = sweep(env, config, settings, flags.num_seeds, for_terminal())
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    ranked = rank(result, settings, flags.num_seeds)
+    print(summary(result))
+    print(table(ranked))
+    if result.folder:
+        write_file(result.folder / "sweep.json", (json.dumps(ranked, indent=2) + "\n").encode())
+    return 130 if result.interrupted else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -33,20 +33,14 @@ class Pose:
 class Control:
     """How fast a task is controlled and simulated, and how strong its motors are.
 
-    Assistive Gym's motor asks for the joint velocity ``rate * (target - angle)`` under a torque
-    bound, with the target one full displacement from the angle measured at the start of the
-    control step. Here it is the linear servo ``torque = damping * (rate * (target - angle) -
-    velocity)`` whose damping is chosen so that a full action against a blocked joint presses with
-    exactly the bound: no clipping, hence the same meaning in every MJX implementation.
-
-    DEVIATION(motor): the torque grows with the missing velocity and reaches AG's bound at a full action
-    against a blocked joint; AG's motor applies up to the bound at any action. Free motion is AG's.
+    A motor asks for the joint velocity ``rate * (target - angle)`` under a torque bound, with the target
+    one full displacement from the angle measured at the start of the control step; see ``sim.motors``.
     """
 
     time_step: float  # physics step [s]
     frame_skip: int  # physics steps in a control step
     rate: float  # AG's motor gain / solver sub-step [1/s]
-    max_torque: float  # torque of a full action against a blocked joint [N m]
+    max_torque: float  # bound of a robot joint's torque [N m]
     action_scale: float  # target displacement of a full action [rad]
 
     def __post_init__(self) -> None:
@@ -59,16 +53,6 @@ class Control:
     def period(self) -> float:
         """Length of a control step [s]."""
         return self.time_step * self.frame_skip
-
-    @property
-    def damping(self) -> float:
-        """Velocity gain of a robot joint's servo [N m s/rad]."""
-        return self.max_torque / (self.rate * self.action_scale)
-
-    @property
-    def stiffness(self) -> float:
-        """Position gain of a robot joint's servo [N m/rad]."""
-        return self.damping * self.rate
 
 
 @dataclass(frozen=True)
@@ -94,6 +78,7 @@ class BaseSearch:
     spread: float = 0.5  # [m]
     side: float = -1.0  # which way is away from the person along x
     yaw: float = 0.0  # about which the base turns [rad]
+    pivot: Vec3 = (0.0, 0.0, 0.0)  # in the base's frame, what is put there and turns on the spot [m]
 
 
 @dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
@@ -138,6 +123,7 @@ class RobotSpec:
     start_rotations: Mapping[str, Quat] = field(default_factory=dict)  # task -> hand orientation
     searches: Mapping[str, BaseSearch] = field(default_factory=dict)  # task -> where to look
     base_height: float = 0.0  # of the base of a robot that stands on the floor [m]
+    meets_itself: bool = False  # whether its start poses may have an arm in the robot's own body
     friction: float = 0.5  # of its material, see ``sim.contacts.pair_friction``
     meshes: tuple[MeshModel | MeshPart, ...] = ()  # what it may look like in pictures
 
@@ -204,6 +190,8 @@ class SeatSpec:
     friction: float = 0.5  # of its material, see ``sim.contacts.pair_friction``
     front: tuple[Vec3, Vec3] | None = None  # where the camera "front" stands and looks, world [m]
     bears_upper_arm: bool = False  # whether the upper arm may rest on it, not only forearm and hand
+    rolling: float = 0.0  # rolling and spinning friction of its material with whom it bears [m]
+    pillow: tuple[str, ...] = ()  # collision geoms that bear the girdle, if also the upper arm
     props: tuple[Prop, ...] = ()  # what stands around it
 
 

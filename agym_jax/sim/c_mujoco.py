@@ -38,7 +38,7 @@ from agym_jax.state import Episode
 
 Layout = tuple[tuple[str, int, int, tuple[int, ...]], ...]
 """Name, start, stop and shape of each field in ``NativeData.numbers``."""
-MOTION = ("qpos", "qvel", "ctrl", "qacc_warmstart", "qfrc_bias")
+MOTION = ("qpos", "qvel", "qacc_warmstart", "qfrc_bias", "M")
 """Fields that decide what happens next."""
 POSES = ("xpos", "xmat", "xquat", "xanchor", "xaxis", "site_xpos", "geom_xpos", "geom_xmat")
 """Fields that ``sense`` reads besides."""
@@ -67,9 +67,9 @@ class NativeData:
 
     qpos = _field("qpos")  # [rad]                                            (nq,)
     qvel = _field("qvel")  # [rad/s]                                          (nv,)
-    ctrl = _field("ctrl")  # targets of the robot's joints [rad]              (nu,)
     qacc_warmstart = _field("qacc_warmstart")  # where the solver begins      (nv,)
     qfrc_bias = _field("qfrc_bias")  # gravity and inertial torque [N m]      (nv,)
+    M = _field("M")  # inertia matrix, sparse, of the last physics step       (nC,)
     xpos = _field("xpos")  # of bodies, world [m]                             (nbody, 3)
     xmat = _field("xmat")  #                                                  (nbody, 9)
     xquat = _field("xquat")  # wxyz                                           (nbody, 4)
@@ -159,15 +159,24 @@ class NativePhysics:
     ) -> tuple[NativeData, ContactSums, Motion]:
         """One control step. The ``qpos`` of an environment that goes non-finite are NaN."""
         index, sensors, samples = self.scene.index, [], []
-        target = np.asarray(targets.target)
+        target, goal = np.asarray(targets.target), np.asarray(targets.goal)
+        motors = self.controller.motors
         with self._lock:
             d = self._load(data, episode)
-            d.ctrl[index.robot_ctrl] = targets.goal
             for _ in range(self.frame_skip):
                 if not _is_sound(d):
                     break
                 d.qfrc_applied[index.human_dof] = self._torque(d, target)
+                q, v = d.qpos[index.robot_qpos], d.qvel[index.robot_dof]
+                drive = motors.drive(motors.inertia(d.M, np), q, v, goal, np)
+                d.qvel[index.robot_dof], d.qfrc_applied[index.robot_dof] = drive[:2]
+                self.model.dof_solref[index.robot_dof] = drive.solref
                 mujoco.mj_step(self.model, d)
+                if self.controller.at_joints:
+                    q, v = d.qpos[index.human_qpos], d.qvel[index.human_dof]
+                    limits = self.model.jnt_range[index.human_joint]
+                    after = self.controller.after_step(q, v, limits, np)
+                    d.qpos[index.human_qpos], d.qvel[index.human_dof] = after
                 sensors.append(d.sensordata.copy())
                 samples.append(sample_poses(index, d, np))
             if not _is_sound(d):

@@ -1,7 +1,5 @@
 """Actions as joint targets and muscle torques: the first part of a control step, whatever the physics.
 
-DEVIATION(limit-clip): a robot's target is clipped to the joint limits; AG drops the rest of a
-joint's motion in that control step once it would cross a limit.
 DEVIATION(arm-limits-always): the pose-dependent limits of the arm hold for the still person too, whom
 the robot may push; AG judges them for the active person only.
 """
@@ -10,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,12 +18,14 @@ from jax import Array
 from agym_jax.human import body, limits, muscles
 from agym_jax.human.population import Human
 from agym_jax.sim.index import Index
+from agym_jax.sim.motors import Motors
 from agym_jax.sim.scene import Scene
 from agym_jax.spec import HumanSpec, Task
 from agym_jax.state import Episode
 
 ARM = ("shoulder_y", "shoulder_x", "shoulder_z", "elbow_x")
 """Joints whose limits depend on each other, in the order of ``human.limits``."""
+INCREMENT = 0.05  # AG v0.1 env.py take_step: action_multiplier [rad]
 LIKE_RIGHT = {
     sign: limits.mirror_left(np.ones(len(ARM), np.float32), sign, np) for sign in (1.0, -1.0)
 }
@@ -49,14 +50,17 @@ class Controller:
     index: Index
     spec: HumanSpec  # of the joints that are hinges in the scene
     active: bool  # whether the person acts
+    motors: Motors
     action_scale: float  # of a full action [rad]
     robot_range: np.ndarray  # joint limits [rad]                             (n_arm, 2)
     arm_limits: limits.ArmLimits
     arms: tuple[tuple[np.ndarray, float], ...]  # rows of an arm's four joints, 1 right or -1 left
+    time_step: float = 0.0  # of the physics [s]
+    at_joints: bool = False  # whether people have AG's masses, see ``muscles.as_bullet``
 
     @classmethod
-    def of(cls, scene: Scene, task: Task, active: bool) -> Controller:
-        """The driver of a scene."""
+    def of(cls, scene: Scene, task: Task, active: bool, masses: str = "body") -> Controller:
+        """The driver of a scene; ``masses`` is the population's."""
         names = scene.moving
         arms = [
             (np.array([names.index(f"{side}_{joint}") for joint in ARM]), sign)
@@ -67,10 +71,13 @@ class Controller:
             index=scene.index,
             spec=dataclasses.replace(task.human, joints=scene.moving),
             active=active,
+            motors=Motors.of(scene.model, scene.index.robot_dof, task.control),
             action_scale=task.control.action_scale,
             robot_range=np.array(scene.model.jnt_range[scene.index.robot_joint], np.float32),
             arm_limits=limits.load_arm_limits(),
             arms=tuple(arms),
+            time_step=task.control.time_step,
+            at_joints=masses == "ag" and bool(names),
         )
 
     def targets(self, episode: Episode, qpos: Array, action: Array) -> ControlTargets:
@@ -81,12 +88,27 @@ class Controller:
             qpos: of the whole scene [rad] (nq,).
             action: robot's joints, then the active person's; NaN and infinity act as 0 (n_action,).
         """
-        n_arm = len(self.index.robot_ctrl)
+        n_arm = len(self.index.robot_qpos)
         action = jnp.clip(jnp.where(jnp.isfinite(action), action, 0.0), -1.0, 1.0)
-        goal = qpos[self.index.robot_qpos] + self.action_scale * action[:n_arm]
-        goal = jnp.clip(goal, self.robot_range[:, 0], self.robot_range[:, 1])
+        goal = self.robot_goal(qpos[self.index.robot_qpos], action[:n_arm])
         q = qpos[self.index.human_qpos]
         return ControlTargets(action, goal, *self.human_target(episode, q, action[n_arm:]))
+
+    def robot_goal(self, q: Array, action: Array) -> Array:
+        """Angles that the robot's motors aim at in this control step [rad] (n_arm,).
+
+        AG env.py take_step: the displacement of a joint is added up in steps of ``INCREMENT`` times its
+        action, and the first that would lead beyond a limit is dropped with all that follow.
+
+        Args:
+            q: angles of the robot's joints [rad] (n_arm,).
+            action: theirs, clipped (n_arm,).
+        """
+        step = INCREMENT * action
+        low, high = self.robot_range.T
+        room = jnp.where(step > 0.0, high - q, q - low)
+        fit = jnp.floor(room / jnp.where(step == 0.0, 1.0, abs(step)))
+        return q + step * jnp.clip(fit, 0.0, self.action_scale / INCREMENT)
 
     def human_target(self, episode: Episode, q: Array, action: Array) -> tuple[Array, Array]:
         """What the muscles aim at in this control step, and what to remember of it.
@@ -111,12 +133,12 @@ class Controller:
     def muscles(self, human: Human) -> muscles.Muscles:
         """How this person pulls."""
         moving = muscles.is_moving(human.tremor, self.active)
-        return muscles.muscles_of(self.spec, human.strength, moving)
+        return muscles.muscles_of(self.spec, human.strength, moving, human.at_joints)
 
     def damping(self, human: Human) -> Array:
         """Of the person's joints [N m s/rad] ()."""
         moving = muscles.is_moving(human.tremor, self.active)
-        return muscles.damping(self.spec, human.strength, moving)
+        return muscles.damping(self.spec, human.strength, moving, human.at_joints)
 
     def limit_torque(self, q: Array, v: Array) -> Array:
         """Pose-dependent limits of the arms: a torque beside the muscles' [N m] (n_person,).
@@ -130,6 +152,10 @@ class Controller:
             push = limits.limit_torque(self.arm_limits, q[arm], v[arm], sign)
             torque = torque.at[arm].set(push)
         return torque
+
+    def after_step(self, q: Any, v: Any, limits: Any, xp: Any = jnp) -> tuple[Any, Any]:
+        """The person's joints after a physics step, see ``muscles.as_bullet``; only if ``at_joints``."""
+        return muscles.as_bullet(q, v, limits, self.time_step, xp)
 
     def within_limits(self, q: np.ndarray) -> bool:
         """Whether ``limit_torque`` is zero, and need not be computed; in NumPy, float32."""

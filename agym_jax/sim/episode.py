@@ -14,6 +14,7 @@ from agym_jax.data.banks import Placement
 from agym_jax.human import population
 from agym_jax.human import pose as human_pose
 from agym_jax.human.body import BodyFields
+from agym_jax.sim.motors import implicit_armature
 from agym_jax.sim.scene import Scene
 from agym_jax.spec import HumanSpec
 from agym_jax.state import Episode
@@ -74,7 +75,9 @@ def human_rows(
     scene: Scene, spec: HumanSpec, human: population.Human, pose: human_pose.BodyPose, xp: Any = jnp
 ) -> BodyFields:
     """The person's part of the model: rows of the scene's links and shapes."""
-    rows = human_pose.rows(spec, pose, human.dims, scene.moving, human.limit_scale, xp)
+    rows = human_pose.rows(
+        spec, pose, human.dims, scene.moving, human.limit_scale, xp, human.at_joints
+    )
     index = scene.index
     kept = {"body": index.human_row, "geom": index.shape_row, "jnt": slice(None)}
     return rows._replace(**{k: x[kept[k.split("_")[0]]] for k, x in rows._asdict().items()})
@@ -115,6 +118,9 @@ def model_fields(scene: Scene, model: Any, episode: Episode, damping: Array) -> 
         "jnt_pos": of("jnt_pos").at[joints].set(rows.jnt_pos),
         "jnt_range": of("jnt_range").at[joints].set(rows.jnt_range),
         "dof_damping": of("dof_damping").at[index.human_dof].set(damping),
+        "dof_armature": of("dof_armature").at[index.human_dof]
+        .multiply(1.0 - episode.human.at_joints).at[index.human_dof]
+        .add(implicit_armature(damping, scene.model.opt.timestep)),
         "body_invweight0": _blend(scene, "body_invweight0", episode.human.sex),
         "dof_invweight0": _blend(scene, "dof_invweight0", episode.human.sex),
     }  # fmt: skip

@@ -35,7 +35,6 @@ class Index:
     robot_joint: np.ndarray  # joint ids of the arms in use                   (n_arm,)
     robot_qpos: np.ndarray  # qpos addresses                                  (n_arm,)
     robot_dof: np.ndarray  # dof addresses                                    (n_arm,)
-    robot_ctrl: np.ndarray  # actuator ids                                    (n_arm,)
     robot_base: int  # body id that a placement moves
     torso_site: int  # the robot's reference point
     tools: tuple[ToolIndex, ...]  # one for each arm

@@ -35,6 +35,9 @@ from agym_jax.state import Episode, strong
 mjx_quat.apply()
 mjx_trace.apply()
 
+JAX_ITERATIONS, JAX_LS_ITERATIONS = 8, 12
+"""Newton iterations and line-search steps in JAX. ``tests/sim/test_parity.py`` compares a pressing rollout with
+C MuJoCo; ``python -m benchmarks.nan`` looks for NaN."""
 WARP_CONTACTS_PER_ENV = 24
 WARP_ROWS_PER_ENV = 128
 WARP_ITERATIONS, WARP_LS_ITERATIONS = 20, 20
@@ -42,7 +45,7 @@ WARP_ITERATIONS, WARP_LS_ITERATIONS = 20, 20
 WARP_LOST = 0b1001111
 """Bits of Warp's overflow flags that mean lost contacts or rows: NEFC, NJMAX_NNZ, BROADPHASE,
 NARROWPHASE, CONTACT_MATCH (not: iteration limits). MuJoCo Warp 3.17, types.OverflowType."""
-AT_REST = ("qvel", "ctrl", "qacc_warmstart", "qfrc_applied", "qfrc_bias")
+AT_REST = ("qvel", "qacc_warmstart", "qfrc_applied", "qfrc_bias")
 """Fields of ``mjx.Data`` that are 0 as an episode begins."""
 
 
@@ -93,10 +96,13 @@ class MjxPhysics:
         wait_for_kernels()
         fresh = {name: jnp.zeros_like(getattr(data, name)) for name in AT_REST}
         fresh["qpos"] = start_qpos(self.scene, episode)
+        inertia = jnp.zeros_like(data._impl.M)  # nothing moves that has any
         if where is not None:
             fresh = {k: jnp.where(where, v, getattr(data, k)) for k, v in fresh.items()}
+            inertia = jnp.where(where, inertia, data._impl.M)
+        data = data.replace(**fresh, _impl=data._impl.replace(M=inertia))
         model = self.model_of(episode)
-        data = mjx.kinematics(model, data.replace(**fresh))
+        data = mjx.kinematics(model, data)
         return strong(
             place_static_geoms(self._static, model, data) if self.impl == "warp" else data
         )
@@ -107,16 +113,30 @@ class MjxPhysics:
         """One control step."""
         wait_for_kernels()
         index, model = self.scene.index, self.model_of(episode)
-        muscles = self.controller.muscles(episode.human)
-        data = data.replace(ctrl=data.ctrl.at[index.robot_ctrl].set(targets.goal))
+        muscles, motors = self.controller.muscles(episode.human), self.controller.motors
 
         def substep(carry: tuple[mjx.Data, ContactSums], _: None) -> tuple[tuple, PoseSample]:
             data, contacts = carry
             q, v = data.qpos[index.human_qpos], data.qvel[index.human_dof]
             pull = muscles.torque(targets.target, q, data.qfrc_bias[index.human_dof])
             torque = pull + self.controller.limit_torque(q, v)
-            data = data.replace(qfrc_applied=data.qfrc_applied.at[index.human_dof].set(torque))
-            data = mjx.step(model, data)
+            q, v = data.qpos[index.robot_qpos], data.qvel[index.robot_dof]
+            drive = motors.drive(motors.inertia(data._impl.M), q, v, targets.goal)
+            applied = data.qfrc_applied.at[index.human_dof].set(torque)
+            data = data.replace(
+                qfrc_applied=applied.at[index.robot_dof].set(drive.torque),
+                qvel=data.qvel.at[index.robot_dof].set(drive.velocity),
+            )
+            solref = model.dof_solref.at[index.robot_dof].set(drive.solref)
+            data = mjx.step(model.replace(dof_solref=solref), data)
+            if self.controller.at_joints:
+                human_q, human_v = index.human_qpos, index.human_dof
+                q, v = self.controller.after_step(
+                    data.qpos[human_q], data.qvel[human_v], model.jnt_range[index.human_joint]
+                )
+                data = data.replace(
+                    qpos=data.qpos.at[human_q].set(q), qvel=data.qvel.at[human_v].set(v)
+                )
             # what a step leaves behind is where things were as it began
             contacts = add_contacts(index, contacts, data.sensordata)
             return (data, contacts), sample_poses(index, data)
@@ -142,9 +162,10 @@ class MjxPhysics:
 
 def put_model(model: mujoco.MjModel, impl: str) -> Any:
     """A MuJoCo model on the device, with the solver limits of the implementation."""
-    if impl != "warp":
-        return mjx.put_model(model, impl=impl)
     model = copy.copy(model)
+    if impl != "warp":
+        model.opt.iterations, model.opt.ls_iterations = JAX_ITERATIONS, JAX_LS_ITERATIONS
+        return mjx.put_model(model, impl=impl)
     model.opt.iterations, model.opt.ls_iterations = WARP_ITERATIONS, WARP_LS_ITERATIONS
     hold_streams()
     compile_kernels(model, WARP_ROWS_PER_ENV, WARP_CONTACTS_PER_ENV, WARP_LOST)

@@ -44,7 +44,6 @@ def picture_model(
 def write_pose(task: Task, state: State, data: mujoco.MjData, model: mujoco.MjModel) -> None:
     """Write the pose of one environment into data of ``picture_model``'s model."""
     data.qpos[:], data.qvel[:] = np.asarray(state.data.qpos), np.asarray(state.data.qvel)
-    data.ctrl[:] = np.asarray(state.data.ctrl)
     mujoco.mj_forward(model, data)
     draw_surfaces(data, _surfaces(task, state))
 

@@ -31,16 +31,15 @@ from agym_jax.sim.contacts import (
     contact_pairs,
     is_sensed,
     pair_friction,
+    pair_rolling,
     tool_prefixes,
     touch_rows,
 )
 from agym_jax.sim.index import Index, ToolIndex
+from agym_jax.sim.motors import add_motors, stiffen_motors
 from agym_jax.sim.validate import check_robot, check_seat, check_task, check_tool
 from agym_jax.spec import Arm, Pose, RobotSpec, Surface, Task, ToolSpec, Vec3
 
-ITERATIONS, LS_ITERATIONS = 4, 8
-"""Newton iterations and line-search steps of the JAX implementation. ``tests/sim/test_parity.py`` compares a
-pressing rollout with C MuJoCo; ``python -m benchmarks.nan`` looks for NaN."""
 MAX_CONTACTS = 8
 """Contacts that MJX-JAX keeps per environment, the deepest first (Warp keeps all)."""
 SKIN_SOLREF = (0.04, 1.0)
@@ -157,11 +156,13 @@ def compose(
     _attach(spec, build_human(rows, moving, d, links, visual), Pose(), "human/")
     for i, surface in enumerate(surfaces):
         _add_surface(spec, f"surface_{i}", surface)
-    _add_motors(spec, task, arms)
+    add_motors(spec, task.control, [f"robot/{n}" for arm in arms for n in arm.joints])
     _add_contacts(spec, task, robot, contact_pairs(task, arms, moving))
     if not everything:
         _make_lean(spec, f"robot/{robot_root}", links)
-    return spec.compile()
+    model = spec.compile()
+    stiffen_motors(model)
+    return model
 
 
 def lean_links(task: Task, moving: tuple[str, ...]) -> tuple[str, ...]:
@@ -225,10 +226,9 @@ def _set_options(spec: mujoco.MjSpec, task: Task) -> None:
     option = spec.option
     option.timestep = task.control.time_step
     option.gravity = (0.0, 0.0, task.gravity)
-    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
-    option.iterations, option.ls_iterations = ITERATIONS, LS_ITERATIONS
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
     spec.add_numeric(name="max_contact_points", size=1, data=[MAX_CONTACTS])
 
@@ -279,15 +279,6 @@ def _hold(spec: mujoco.MjSpec, arm: Arm, robot: RobotSpec, tool: ToolSpec, prefi
     spec.attach(_load(tool.model), frame=frame, prefix=prefix)
 
 
-def _add_motors(spec: mujoco.MjSpec, task: Task, arms: tuple[Arm, ...]) -> None:
-    c = task.control
-    for name in (name for arm in arms for name in arm.joints):
-        motor = spec.add_actuator(
-            name=name, target=f"robot/{name}", trntype=mujoco.mjtTrn.mjTRN_JOINT
-        )
-        motor.set_to_position(kp=c.stiffness, kv=c.damping)
-
-
 def _add_contacts(
     spec: mujoco.MjSpec, task: Task, robot: RobotSpec, touches: dict[str, list[tuple[str, str]]]
 ) -> None:
@@ -297,9 +288,10 @@ def _add_contacts(
     for kind, pairs in touches.items():
         friction = pair_friction(kind, task, robot)
         for a, b in pairs:
+            roll = pair_rolling(kind, a, task)
             spec.add_pair(
-                name=f"{a}|{b}", geomname1=a, geomname2=b, condim=3,
-                friction=[friction, friction, 0.005, 0.0001, 0.0001],
+                name=f"{a}|{b}", geomname1=a, geomname2=b, condim=6 if roll else 3,
+                friction=[friction, friction, *([roll] * 3 if roll else (0.005, 0.0001, 0.0001))],
                 solref=SKIN_SOLREF, solimp=SKIN_SOLIMP,
             )  # fmt: skip
             if is_sensed(kind):
@@ -370,7 +362,6 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[st
         robot_joint=robot_joint,
         robot_qpos=model.jnt_qposadr[robot_joint],
         robot_dof=model.jnt_dofadr[robot_joint],
-        robot_ctrl=ids(o.mjOBJ_ACTUATOR, [n for arm in arms for n in arm.joints]),
         robot_base=int(model.body_rootid[model.site_bodyid[torso]]),
         torso_site=torso,
         tools=tuple(tool_index(i, arm) for i, arm in enumerate(arms)),

@@ -1,0 +1,135 @@
+"""The robot's motors: a velocity that they reach within one physics step, unless their torque is too small.
+
+Assistive Gym's motor is Bullet's ``btMultiBodyJointMotor``: in every physics step a constraint on the joint
+asks for the velocity ``rate * (target - angle)``, with an impulse of at most ``max_torque`` times the step, and
+is solved together with the contacts. A joint that is not driven stands still until the bound is exceeded; a
+heavy one accelerates under the whole bound until it is fast enough.
+
+In MuJoCo that is the constraint of dry friction, ``frictionloss``: a force within a bound that opposes the
+velocity. Its reference acceleration is ``-damper * velocity`` with a damper that may not be negative, so it
+can brake a joint, turn it round or hold it, all to any velocity, but not speed it up. A joint that must
+become faster therefore begins the physics step with another velocity, either the wanted one or almost none,
+whichever is nearer, and a torque that gives back the momentum ``inertia @ (velocity - start)``. Then
+
+    inertia @ (next - velocity) = step * (motor + contacts + limits + gravity and inertial torque),
+
+with the motor's torque within its bound, as it should be: only the inertial torque and what contacts make of
+the velocity at which they begin belong to the other velocity, and the inertia is that of the physics step before.
+
+DEVIATION(motor): the law is AG's, solved to MuJoCo's accuracy: the constraint is soft, as if a rotor of 3 kg m2
+per N m of bound turned at the wanted velocity (a joint under the whole bound creeps at 0.007 rad/s); a joint that speeds
+up has the inertial torque of the velocity at which its physics step begins here (after 25 random actions joints of
+ScratchItchJaco end within 0.024 rad of AG's, 0.012 without that). MuJoCo integrates at 0.01 s where AG uses 0.002 to 0.004 s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from agym_jax.spec import Control
+
+ROTOR = 3.0
+"""Stiffness of the constraint: the inertia of the rotor whose velocity it asks for, per N m of bound [kg m2]."""
+NEARLY_STILL = 1e-4
+"""A velocity that is none [rad/s]: what the damper turns round must have one."""
+
+
+class Drive(NamedTuple):
+    """What the motors do in one physics step."""
+
+    velocity: Any  # with which the joints begin [rad/s]                     (n,)
+    torque: Any  # besides the constraint [N m]                              (n,)
+    solref: Any  # of the constraint                                         (n, 2)
+
+
+@dataclass(frozen=True, eq=False)  # has arrays in it: equal if identical
+class Motors:
+    """The motors of one scene, in action order: pure functions of one environment."""
+
+    rate: float  # velocity asked for, per angle that is missing [1/s]
+    time_step: float  # physics step [s]
+    damping: np.ndarray  # of the joints themselves [N m s/rad]               (n,)
+    impedance: np.ndarray  # of the constraints                               (n,)
+    dofs: np.ndarray  # of the joints                                         (n,)
+    entries: np.ndarray  # where the inertia is in MuJoCo's sparse matrix     (n, n)
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, dofs: np.ndarray, control: Control) -> Motors:
+        """Of the joints with these dofs, in a model that ``add_motors`` and ``stiffen_motors`` have seen."""
+        entries = np.full((model.nv, model.nv), model.nC)  # one past the end is 0
+        for row in range(model.nv):
+            for at in range(
+                model.M_rowadr[row], model.M_rowadr[row] + model.M_rownnz[row]
+            ):  # lower triangle
+                column = model.M_colind[at]
+                entries[row, column] = entries[column, row] = at
+        return cls(
+            rate=control.rate,
+            time_step=control.time_step,
+            damping=model.dof_damping[dofs].astype(np.float32),
+            impedance=model.dof_solimp[dofs, 1].astype(np.float32),
+            dofs=dofs,
+            entries=entries[np.ix_(dofs, dofs)],
+        )
+
+    def inertia(self, matrix: Any, xp: Any = jnp) -> Any:
+        """The joints' part of the inertia matrix, however the physics keeps it [kg m2] (n, n)."""
+        if matrix.ndim == 2:
+            return matrix[np.ix_(self.dofs, self.dofs)]
+        return xp.concatenate([matrix, xp.zeros(1, matrix.dtype)])[self.entries]
+
+    def drive(self, inertia: Any, q: Any, v: Any, goal: Any, xp: Any = jnp) -> Drive:
+        """What to do in the next physics step.
+
+        Args:
+            inertia: of the joints [kg m2] (n, n).
+            q: their angles [rad] (n,).
+            v: their velocities [rad/s] (n,).
+            goal: angles to reach [rad] (n,).
+            xp: numpy or jax.numpy.
+        """
+        wanted = self.rate * (goal - q)
+        way = xp.sign(wanted)
+        too_slow = (v * way > -NEARLY_STILL) & (abs(v) < abs(wanted))
+        near = xp.where(2 * abs(v) < abs(wanted), -NEARLY_STILL * way, wanted)
+        start = xp.where(too_slow, near, v)
+        damper = (start - wanted) / (self.time_step * xp.where(start == 0.0, 1.0, start))
+        damper = xp.where(start == 0.0, 0.0, damper)
+        torque = inertia @ (v - start) / self.time_step - self.damping * (v - start)
+        return Drive(start, torque, xp.stack([0.0 * damper, -damper * self.impedance], axis=-1))
+
+
+def add_motors(spec: mujoco.MjSpec, control: Control, joints: list[str]) -> None:
+    """Put motors into joints, and make the joints' own damping implicit, see ``implicit_armature``."""
+    for name in joints:
+        joint = spec.joint(name)
+        joint.frictionloss = control.max_torque
+        joint.armature += implicit_armature(joint.damping[0], control.time_step)
+
+
+def implicit_armature(damping: Any, time_step: float) -> Any:
+    """What an armature must be for Euler's integration to be implicit in a joint's damping [kg m2].
+
+    ``(inertia + step * damping) * acceleration = torque - damping * velocity`` is MuJoCo's implicit
+    integration, but the solver of that integrator computes contacts as if joints were not damped; they would
+    act with a fraction of their effect, and become as many times larger. With an armature it knows.
+
+    Args:
+        damping: of the joint [N m s/rad].
+        time_step: physics step [s].
+    """
+    return damping * time_step
+
+
+def stiffen_motors(model: mujoco.MjModel) -> None:
+    """Give every motor's constraint the stiffness of ``ROTOR``, as far as MuJoCo allows."""
+    bounds = model.dof_frictionloss[:, None]
+    relative = ROTOR * bounds * model.dof_invweight0[:, None]
+    model.dof_solimp[:, :2] = np.where(
+        bounds > 0.0, np.minimum(relative / (1.0 + relative), mujoco.mjMAXIMP), model.dof_solimp[:, :2]
+    )

@@ -75,7 +75,7 @@ class AssistiveEnv:
         self.scene = build_scene(task, robot, active)
         self.name = f"{task.name}{robot.name}{'Human' if active else ''}-v0"
         self.episode_length = task.episode_length
-        self.controller = Controller.of(self.scene, task, active)
+        self.controller = Controller.of(self.scene, task, active, self.humans.masses)
         self.physics = build_physics(
             self.impl, self.scene, self.controller, task.control.frame_skip, num_envs
         )

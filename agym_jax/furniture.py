@@ -14,7 +14,8 @@ WHEELCHAIR = SeatSpec(
 BED = SeatSpec(
     name="bed",
     model="furniture/bed.xml",
-    geoms=("mattress_collision", "skirt_collision"),
+    geoms=("mattress_collision", "edge_collision"),
+    pillow=("pillow_a_front_collision",),
     front=((0.75, -1.75, 2.75), (-0.45, 0.0, 0.8)),
 )
 

@@ -15,6 +15,7 @@ from agym_jax.human.body import (
     shape,
     shapes_of,
 )
+from agym_jax.human.muscles import LIMIT_MARGIN
 
 SKIN = (0.87, 0.68, 0.55, 1.0)
 SHIRT = (0.36, 0.55, 0.66, 1.0)
@@ -70,6 +71,7 @@ def build(
                 pos=rows.jnt_pos[n_free],
                 range=rows.jnt_range[n_free],
                 limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+                margin=LIMIT_MARGIN,
                 armature=SKIN_ARMATURE,
                 damping=1.0,  # replaced per person, see muscles.damping
             )

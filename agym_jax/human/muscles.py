@@ -6,8 +6,9 @@ bears the limb's weight included, is clipped to the same bound, and the damping 
 servo is the joint's own, which MuJoCo integrates implicitly.
 
 DEVIATION(girdle-support): a seated person's girdle bears the weight of the arm passively, as ligaments
-do, whatever the strength. With AG's misplaced mass the girdle's load stays below the bound;
-with the mass where it belongs every arm would sink 3 cm at the start of an episode.
+do, whatever the strength. In AG's ScratchItch it is held by muscles of at most 1 N m: a man of full strength sinks
+0.13 rad in it within 2 s, the wrist by 4 cm, until the arm lies on the armrest; a woman of full strength holds hers, a
+weak one sinks 1.7 cm. With the mass where it belongs every arm would. ``Population(masses="ag")`` has no such support.
 DEVIATION(muscle-damping): a limb pushed by the robot yields like a damper instead of standing still
 up to the torque bound and moving freely beyond it.
 """
@@ -27,9 +28,14 @@ HOLD_STIFFNESS = 5.0
 MOVE_DAMPING = 1.6
 """Of a moving person of full strength [N m s/rad]: a full action (0.25 rad at 2.5 /s) against a
 blocked joint takes the 1 N m bound."""
-TISSUE_DAMPING = 0.4
-"""What even the weakest joint has [N m s/rad]. An estimate."""
-
+TISSUE_DAMPING = 0.05
+"""What even the weakest joint has [N m s/rad]: joint friction of the arm model of Li and Todorov, Iterative linear
+quadratic regulator design for nonlinear biological movement systems, ICINCO 2004 (b11 = b22 = 0.05 kg m2/s, shoulder and
+elbow; their coupling of the two, 0.025, is left out). AG has none."""
+DRAG = 0.04
+"""Of Bullet on every link: a link slows down at the rate ``DRAG * (1 + speed)`` [1/s]. AG v0.1 keeps the default."""
+LIMIT_MARGIN = 1e-3
+"""Before a joint limit, within which it already acts [rad]: one that stands at its limit is held there."""
 
 FROZEN_DAMPING = 1e4
 """Of a person who does not move at all [N m s/rad]: a push of 10 N moves nothing by 1 mm in an episode."""
@@ -40,14 +46,23 @@ def is_moving(tremor: jax.Array, active: bool) -> jax.Array:
     return jnp.logical_or(active, jnp.any(tremor != 0.0))
 
 
-def damping(spec: HumanSpec, strength: jax.Array, moving: jax.Array) -> jax.Array:
-    """Damping of every controllable joint [N m s/rad] ()."""
+def damping(
+    spec: HumanSpec, strength: jax.Array, moving: jax.Array, at_joints: Any = 0.0
+) -> jax.Array:
+    """Damping of every controllable joint [N m s/rad] ().
+
+    Args:
+        spec: rates and torque bound.
+        strength: of the person ().
+        moving: from ``is_moving`` ().
+        at_joints: 1 for a person with AG's masses, whose tissue does not damp ().
+    """
     move = MOVE_DAMPING * spec.max_torque * strength
     still = {
         "hold": HOLD_STIFFNESS / spec.hold_rate * spec.max_torque * strength,
         "limp": 0.0,
     }.get(spec.passive_mode, FROZEN_DAMPING)
-    return TISSUE_DAMPING + jnp.where(moving, move, still)
+    return (1.0 - at_joints) * TISSUE_DAMPING + jnp.where(moving, move, still)
 
 
 class Muscles(NamedTuple):
@@ -55,7 +70,7 @@ class Muscles(NamedTuple):
 
     gain: Any  # [N m/rad]                                                    ()
     bound: Any  # of the torque [N m]                                         ()
-    passive: Any  # True where ligaments bear the load                        (n,)
+    passive: Any  # 1 where ligaments bear the load                           (n,)
 
     def torque(self, target: Any, angle: Any, load: Any, xp: Any = jnp) -> Any:
         """Torque without its damping [N m] (n,).
@@ -66,24 +81,50 @@ class Muscles(NamedTuple):
             load: gravity and inertial torque that the joints bear (qfrc_bias) [N m] (n,).
             xp: numpy or jax.numpy.
         """
-        passive = xp.where(self.passive, load, 0.0)
+        passive = self.passive * load
         wanted = load - passive + self.gain * (target - angle)
         return passive + xp.minimum(xp.maximum(wanted, -self.bound), self.bound)
 
 
-def muscles_of(spec: HumanSpec, strength: jax.Array, moving: jax.Array) -> Muscles:
+def as_bullet(q: Any, v: Any, limits: Any, time_step: float, xp: Any = jnp) -> tuple[Any, Any]:
+    """Joints of a person with AG's masses after a physics step: slowed by the drag, and stopped at limits.
+
+    As in AG env.py (``enforce_hard_human_joint_limits``) a joint beyond its limit is put back with no velocity; the
+    others keep theirs. The drag is Bullet's of each link, taken joint by joint.
+
+    Args:
+        q: angles [rad] (n,).
+        v: velocities [rad/s] (n,).
+        limits: lower and upper [rad] (n, 2).
+        time_step: of the physics [s].
+        xp: numpy or jax.numpy.
+
+    Returns:
+        angles and velocities (n,).
+    """
+    low, high = limits[:, 0], limits[:, 1]
+    inside = (q >= low) & (q <= high)
+    slowed = v * (1.0 - time_step * DRAG * (1.0 + abs(v)))
+    return xp.clip(q, low, high), xp.where(inside, slowed, 0.0)
+
+
+def muscles_of(
+    spec: HumanSpec, strength: jax.Array, moving: jax.Array, at_joints: Any = 0.0
+) -> Muscles:
     """A person's muscles.
 
     Args:
         spec: rates and torque bound.
         strength: of the person ().
         moving: from ``is_moving`` ().
+        at_joints: 1 for a person with AG's masses, whose girdle is borne by muscles alone ().
     """
     holds = 1.0 if spec.passive_mode == "hold" else 0.0
     rate = jnp.where(moving, spec.move_rate, holds * spec.hold_rate)
     seated = not spec.postures  # in bed the mattress bears the arm
     return Muscles(
-        gain=damping(spec, strength, moving) * rate,
+        gain=damping(spec, strength, moving, at_joints) * rate,
         bound=spec.max_torque * strength * jnp.where(moving, 1.0, holds),
-        passive=np.array([seated and "clavicle" in name for name in spec.joints], bool),
+        passive=(1.0 - at_joints)
+        * np.array([seated and "clavicle" in name for name in spec.joints], np.float32),
     )

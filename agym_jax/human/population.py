@@ -9,11 +9,13 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from agym_jax.errors import UnknownNameError
 from agym_jax.human import anthropometry
 
 IMPAIRMENTS = ("none", "limits", "weakness", "tremor")
+MASSES = ("body", "ag")
 
 
 @jax.tree_util.register_dataclass
@@ -27,6 +29,7 @@ class Human:
     strength: jax.Array  # multiplies the muscle torque bound, 0.25..1         ()
     limit_scale: jax.Array  # multiplies the joint limits, 0.5..1              ()
     tremor: jax.Array  # amplitude of each controllable joint [rad]            (n_joints,)
+    at_joints: jax.Array = np.float32(0.0)  # 1 if masses are AG's, at the joints ()
 
     @property
     def dims(self) -> anthropometry.Dims:
@@ -45,6 +48,9 @@ class Population:
         blend: range of ``sex`` when continuous (0 male, 1 female).
         stature: range of the height scale when continuous.
         girth: range of the radius scale when continuous.
+        masses: ``"body"`` has the mass of a limb where the limb is; ``"ag"`` is as Assistive Gym: every centre of mass
+            at its joint, the inertia of boxes, joints without damping but for Bullet's drag, which stop dead at
+            their limits, and no support of a seated person's girdle. For comparisons and for transfer.
     """
 
     sizes: str = "ag"
@@ -52,10 +58,13 @@ class Population:
     blend: tuple[float, float] = (-0.2, 1.2)
     stature: tuple[float, float] = (0.92, 1.08)
     girth: tuple[float, float] = (0.9, 1.15)
+    masses: str = "body"
 
     def __post_init__(self) -> None:
         if self.sizes not in ("ag", "continuous"):
             raise UnknownNameError("way to draw sizes", self.sizes, ("ag", "continuous"))
+        if self.masses not in MASSES:
+            raise UnknownNameError("distribution of masses", self.masses, MASSES)
         for name in self.impairments or ():
             if name not in IMPAIRMENTS:
                 raise UnknownNameError("impairment", name, IMPAIRMENTS)
@@ -101,4 +110,5 @@ def sample_human(
         strength=jnp.where(kind == 2, strength, 1.0),
         limit_scale=jnp.where(kind == 1, limits, 1.0),
         tremor=jnp.where(kind == 3, shake * tremor_amplitude, 0.0),
+        at_joints=jnp.float32(humans.masses == "ag"),
     )

@@ -137,11 +137,13 @@ def rows(
     moving: tuple[str, ...],
     limit_scale: Any,
     xp: Any,
+    at_joints: Any = 0.0,
 ) -> body.BodyFields:
-    """The person's rows of the MuJoCo model in that pose; NumPy or JAX."""
+    """The person's rows of the MuJoCo model in that pose, see ``body.fields``; NumPy or JAX."""
     order = list(body.JOINTS)
     angles = {j: pose.angles[order.index(j)] for j in posed_joints(spec)}
-    return body.fields(d, angles, moving, limit_scale, pose.root_pos, pose.root_quat, xp)
+    root = pose.root_pos, pose.root_quat
+    return body.fields(d, angles, moving, limit_scale, *root, xp, at_joints)
 
 
 def start_angles(pose: BodyPose, joints: tuple[str, ...], limit_scale: Any, xp: Any) -> Any:

@@ -1,10 +1,15 @@
 """Which geoms may touch which: pairs by what their force means, by names with prefixes.
 
-DEVIATION(friction-pyramid): MuJoCo's pyramidal cone bounds the sum of both tangential forces: friction is AG's along two
-directions of the contact and 71 % of it between them, 79 % on average. Bullet's cone is round. Pyramids take fewer
-steps of the solver in MJX.
+DEVIATION(friction-pyramid): friction against a sliding motion is AG's along two directions of the contact, 71 % of it
+between them and 86 % on average: MuJoCo's cone is a pyramid here, Bullet's is round.
 DEVIATION(no-rolling): contacts of tools and robots resist sliding only. AG's scratcher and wiper also resist rolling and
-spinning on the person, with 0.0005 m: 5 N make 0.0025 N m, 0.3 % of a motor's torque.
+spinning on the person, with 0.5 mm times the force: 0.0025 N m at 5 N, 0.25 % of a motor's torque.
+DEVIATION(bed-contact): a limb that falls onto the bed is stopped after the physics step in which it entered, up to 2 cm
+deep, and gives way; Bullet stops it at the surface. With AG's masses the wrist follows AG's within 1 cm until the arm meets
+the bed (a man; AG's woman starts with the shoulder above the pillow, and is 31 cm off by then), and is 5 cm (man) and 17 cm
+(woman) from AG's on average over the first second. Where the arm lies still, elbow and wrist are as high as AG's within
+1.6 cm; a man's wrist is 7 cm nearer to the feet, as AG's arm creeps up the edge. Of the person's links, upper arm and
+girdle also resist rolling on the bed, in AG forearm and hand, too.
 """
 
 from __future__ import annotations
@@ -59,6 +64,9 @@ def contact_pairs(
     outer = [x for x in free if task.seat.bears_upper_arm or not x.endswith("upper_arm")]
     pairs["human_seat"] = [(f"human/{x}", g) for x in outer for g in seat]
     side = task.human.arm
+    girdle = f"{side}_girdle"
+    if task.seat.bears_upper_arm and body.is_free(body.LINK[girdle], moving):
+        pairs["human_seat"] += [(f"human/{girdle}", f"seat/{g}") for g in task.seat.pillow]
     pairs["human_self"] = [
         (f"human/{side}_{a}", f"human/{side}_{c}" if b == "thigh" else f"human/{c}")
         for a, b in SELF_CONTACTS
@@ -110,6 +118,24 @@ def pair_friction(kind: str, task: Task, robot: RobotSpec) -> float:
     }  # fmt: skip
     one, other = kind.replace("/", "_").replace("tool2", "tool").split("_")
     return materials[one] * materials[other]
+
+
+ROLLS = ("upper_arm", "girdle")
+"""What lies on the bed throughout, and comes to rest by rolling friction; the forearm hangs in the air."""
+
+
+def pair_rolling(kind: str, geom: str, task: Task) -> float:
+    """Rolling and spinning friction of a pair [m]; 0 for those that resist sliding only.
+
+    Bullet's is ``r1 * f2 + r2 * f1`` of two materials' lengths and friction coefficients; a person has no length.
+
+    Args:
+        kind: a key of ``contact_pairs``.
+        geom: the pair's first.
+        task: of the scene.
+    """
+    rolls = kind == "human_seat" and geom.endswith(ROLLS)
+    return task.seat.rolling * task.human.friction if rolls else 0.0
 
 
 def is_sensed(kind: str) -> bool:

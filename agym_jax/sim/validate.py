@@ -110,7 +110,10 @@ def check_seat(spec: mujoco.MjSpec, seat: SeatSpec) -> None:
         SpecError: the file lacks one of them.
     """
     _check_text(f"The seat {seat.name}'s geoms", seat.geoms)
-    _check_there(f"The seat {seat.name}'s file {seat.model}", "geom", seat.geoms, _named(spec.geoms))  # fmt: skip
+    _check_there(
+        f"The seat {seat.name}'s file {seat.model}", "geom", (*seat.geoms, *seat.pillow),
+        _named(spec.geoms),
+    )  # fmt: skip
 
 
 def _check_arm(where: str, spec: mujoco.MjSpec, robot: RobotSpec, arm: Arm) -> None:

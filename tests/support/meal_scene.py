@@ -14,6 +14,7 @@ from agym_jax.math3d import rotation_matrix
 from agym_jax.matter.particles.solver import Contact, Particles
 from agym_jax.sense import Motion, Sensed, ToolSensed
 
+_MAN = anthropometry.dims(0.0)
 HEAD, CHEST = np.array([0.0, 0.03, 1.1785]), np.array([0.0, 0.03, 0.89])  # humans.md section 5
 TORSO = np.array([-1.0, 0.0, 1.0])
 TURN = np.array([0.9, 0.1, -0.3, 0.3]) / np.linalg.norm([0.9, 0.1, -0.3, 0.3])  # of the head, wxyz
@@ -24,6 +25,14 @@ AIR = {
     "gap": 0.3, "touch_force": np.zeros(2), "touch_pos_w": np.zeros((2, 3)),
     "touch_working": np.ones(2), "on_human": 0.0, "force": 0.0,
 }  # fmt: skip
+STRAIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+"""The head of a man who looks ahead, and where his mouth and the top of his skull are."""
+MOUTH_AHEAD = np.add(HEAD, [0.0, -0.11, 0.03])
+SKULL_TOP = np.add(HEAD, [0.0, float(_MAN.head_y), float(_MAN.head_high + _MAN.head_r)])
+FLIGHT = np.array([0.0, -0.062, 0.05]), np.array([0.0, 0.5, 0.0])
+"""From where, seen from that mouth [m], and how fast [m/s] something flies past the nose to 12 mm before the mouth in
+0.1 s, and how fast it then is: it has fallen 49 mm."""
+FLIGHT_SPEED = float(np.hypot(0.5, 0.981))
 UPRIGHT = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])
 """Turns a tool's y axis upwards."""
 

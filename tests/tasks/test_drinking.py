@@ -11,8 +11,12 @@ import numpy as np
 import pytest
 from meal_scene import (
     AIR,
+    FLIGHT,
+    FLIGHT_SPEED,
     HEAD,
     MOUTH,
+    MOUTH_AHEAD,
+    STRAIGHT,
     UPRIGHT,
     arrays,
     particles,
@@ -127,13 +131,14 @@ def test_what_is_gone_is_not_judged_again():
 
 
 def test_a_drop_is_drunk_once_with_the_speed_it_came_with():
-    # deviation sip-speed; a free fall of 0.1 s ends 1 mm above the mouth's height
-    start = state([np.add(MOUTH, [0.0, -0.012, 0.05])])
-    after, events = advance(start, seen())
+    offset, speed = FLIGHT  # deviation sip-speed
+    start, ahead = state([MOUTH_AHEAD + offset]), seen(turn=STRAIGHT)
+    water = replace(start.water, vel_w=arrays(np.tile(speed, (64, 1))))
+    after, events = advance(replace(start, water=water), ahead)
     assert (float(after.drunk), float(events["drunk"])) == (1.0, 1.0)
-    np.testing.assert_allclose(events["speed"], 0.981, rtol=0.02)
+    np.testing.assert_allclose(events["speed"], FLIGHT_SPEED, rtol=0.02)
     assert not after.water.alive.any()
-    again, events = advance(after, seen())
+    again, events = advance(after, ahead)
     assert float(again.drunk) == 1.0 and {k: float(v) for k, v in events.items()} == NOTHING
 
 

@@ -12,8 +12,13 @@ import pytest
 from meal_scene import (
     AIR,
     CHEST,
+    FLIGHT,
+    FLIGHT_SPEED,
     HEAD,
     MOUTH,
+    MOUTH_AHEAD,
+    SKULL_TOP,
+    STRAIGHT,
     TORSO,
     TURN,
     UPRIGHT,
@@ -103,18 +108,15 @@ def test_speed_is_that_of_the_eaten_pieces():
 
 
 def test_a_piece_at_the_mouth_is_eaten_once_and_leaves():
-    # above the head: nothing is beneath it within the control step but the mouth's own height
-    start = state(
-        np.vstack([np.add(MOUTH, [0.0, -0.012, 0.05]), np.tile([-0.1, -0.5, 1.3], (7, 1))])
-    )
-    food = replace(start.food, alive=jnp.arange(8) == 0)
-    after, events = advance(replace(start, food=food), sensed())
-    fallen = 0.05 - 0.5 * 9.81 * 0.1**2  # of a free fall of 0.1 s: 1 mm above the mouth's height
-    assert abs(fallen) < 0.002
+    ahead = sensed(turn=STRAIGHT)
+    offset, speed = FLIGHT
+    start = state(np.vstack([MOUTH_AHEAD + offset, np.tile([-0.1, -0.5, 1.3], (7, 1))]))
+    food = replace(start.food, alive=jnp.arange(8) == 0, vel_w=arrays(np.tile(speed, (8, 1))))
+    after, events = advance(replace(start, food=food), ahead)
     assert (float(after.eaten), float(events["eaten"])) == (1.0, 1.0)
-    np.testing.assert_allclose(events["speed"], 0.981, rtol=0.02)
+    np.testing.assert_allclose(events["speed"], FLIGHT_SPEED, rtol=0.02)
     assert not after.food.alive.any()
-    again, events = advance(after, sensed())
+    again, events = advance(after, ahead)
     assert float(again.eaten) == 1.0 and float(events["eaten"]) == 0.0
 
 
@@ -134,11 +136,11 @@ def test_a_piece_that_falls_into_the_bowl_is_spilled_wherever_the_bowl_stands():
 
 
 def test_a_piece_that_hits_the_person_counts_once_and_stays():
-    above = np.tile(np.add(HEAD, [0.0, 0.0, 0.24]), (8, 1)) + np.arange(8)[:, None] * [0, 0, 0.02]
+    above = np.tile(np.add(SKULL_TOP, [0, 0, 0.04]), (8, 1)) + np.arange(8)[:, None] * [0, 0, 0.02]
     food = replace(particles(above), alive=jnp.arange(8) < 1)
     now, hits = replace(state(above), food=food), []
     for _ in range(3):
-        now, events = advance(now, sensed())
+        now, events = advance(now, sensed(turn=STRAIGHT))
         hits.append(float(events["hits"]))
     assert sum(hits) == 1.0 and now.has_hit[0] and now.food.alive[0]
 

@@ -1,19 +1,22 @@
-"""Search for base poses and start angles of a robot: the batched counterpart of Assistive Gym's base search.
+"""Base poses and start angles of a robot, found as Assistive Gym finds them: one simulated reset for each row.
 
-AG v0.1 ``env.py`` position_robot_toc (reference robots.md section 7): sample base poses beside the person,
-solve inverse kinematics for the start pose and for the points that the task will need, and prefer bases that
-reach all of them, with joints far from their limits and high kinematic isotropy. AG tries 100 bases at every
-reset; here thousands are tried at once, offline, over the range of people.
+AG v0.1 ``env.py`` position_robot_toc and ``util.py`` ik_random_restarts (reference robots.md section 7): bases are drawn
+beside the person, and each pose that the task will need is solved for once, from a random rest pose. Of a hundred bases
+from which the start is reached, the one that reaches most, with joints far from their limits and high kinematic
+isotropy, is where the episode begins. A robot with a fixed base takes the first solution that fits. Start
+poses thus have the families, the proportions and the errors of AG's inverse kinematics (``bullet_ik``); nothing is
+chosen among them.
 
-DEVIATION(start-free): start poses in which robot or tool would touch the person, the furniture or the
-robot itself are left out; AG only checks for the last.
+DEVIATION(start-free): start poses in which the arm in use or its tool would touch the person or the furniture are tried
+again; AG keeps those in which five physics steps do not push the hand away by 3 cm. Of 452 starts recorded there 5 are in
+contact, 3 of the 40 of FeedingJaco and 2 of the 40 of ScratchItchJaco.
+DEVIATION(start-person): a start pose is drawn apart from the person of the episode; in AG the base is chosen for that
+person's arm or mouth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -25,42 +28,46 @@ from agym_jax.data.banks import Placement
 from agym_jax.errors import SpecError
 from agym_jax.human import body, population
 from agym_jax.human import pose as human_pose
-from agym_jax.math3d import axis_angle_quat, quat_mul, rotation_matrix
-from agym_jax.offline import kinematics
+from agym_jax.math3d import axis_angle_quat, rotation_matrix
+from agym_jax.offline import bullet_ik, kinematics
 from agym_jax.offline.clearance import Clearance
 from agym_jax.sim.scene import build_scene
-from agym_jax.spec import RobotSpec, Task
+from agym_jax.spec import Quat, RobotSpec, Task
 
-REACHED = 0.001
-"""A start pose counts as reached within this distance [m] (AG: 0.03) and ``REACHED_ROTATION`` [rad]."""
-REACHED_ROTATION = 0.01
-GOAL_REACHED = 0.03
-"""A further goal counts as reached within this distance [m], as in AG."""
+REACHED, REACHED_QUAT = 0.03, 0.03
+"""A pose is reached within this distance [m], and this length of the difference of the quaternions."""
+TURNED_QUAT = 0.03
+"""Of quaternions of other sign, the length of the difference may fall this far short of 2: AG takes 40 degrees."""
+ROUNDS = 4
+"""How often a hundred more bases are drawn for rows without a start."""
+FIXED_RESTARTS, FIXED_ITERATIONS = 40, 1000
+ITERATIONS = 200
 CLEARANCE = 0.005
 """Least distance [m] of robot and tool from person, furniture and the rest of the robot at the start."""
-NEARLY_BEST = 0.8
-"""Solutions with at least this share of the best isotropy may be chosen because they resemble the others."""
 YAW = np.deg2rad(30.0)
 """Range of the base's yaw on either side of that of its area [rad]."""
-TRIES = 8
-"""Candidates per row of the bank, where base poses are searched."""
+_H = float(np.sqrt(0.5))
+HALF_TURN = {("Feeding", "Jaco"): -1.0}
+"""Pairs whose arm at 0 is exactly half a turn away and goes backwards, as their 40 recorded starts show."""
+FIXED_REACHED = {"Feeding": 0.01, "Drinking": 0.01, "Reaching": 0.01}
+"""Thresholds of robots with a fixed base, else ``REACHED``."""
 
 
 @dataclass(frozen=True)
-class Goals:
-    """Bases of a batch of N candidates, and what they have to reach, in the world."""
+class Goal:
+    """A pose that the hand has to be able to reach, besides the start."""
 
-    base_pos: np.ndarray  # (N, 3)
-    base_yaw: np.ndarray  # before the fixed base's own orientation, if any [rad] (N,)
-    start: np.ndarray  # of each hand (N, n_arms, 3)
-    points: tuple[np.ndarray, ...]  # of each arm, further points (N, n_points, 3)
+    name: str  # a link of the person, or "mouth"
+    quat: Quat | None = None  # wxyz; None leaves the orientation free
+    above: float = 0.0  # the link [m]
+    must: bool = False  # a base that does not reach it is discarded
 
 
 @dataclass(frozen=True)
 class Report:
     """Outcome of a search."""
 
-    tried: int
+    tried: int  # bases, or restarts where the base is fixed
     start_reached: int
     goals_reached: dict[str, int]  # among those whose start was reached
     kept: int
@@ -78,7 +85,7 @@ class Report:
 
 
 def search(
-    task: Task, robot: RobotSpec, seed: int = 0, size: int = 512, restarts: int = 32
+    task: Task, robot: RobotSpec, seed: int = 0, size: int = 512, attempts: int = 100
 ) -> tuple[Placement, Report]:
     """Find start placements for a task-robot pair.
 
@@ -87,87 +94,254 @@ def search(
         robot: defines bases, orientations and chains.
         seed: of all random numbers.
         size: greatest number of rows.
-        restarts: random initial angles of the inverse kinematics per start pose, to find its best
-            family of solutions; a quarter of them for the further goals.
+        attempts: bases that are tried for each row.
 
     Returns:
-        the rows, best first, and a report.
+        the rows, in the order in which they were drawn, and a report.
 
     Raises:
         SpecError: robot and task do not fit together, a goal is out of reach of all bases, or no start
             pose is both reached and free of contacts.
     """
-    scene = build_scene(task, robot)
-    chains = _chains(scene)
-    fixed = robot.fixed_base(task)
-    n = int(1.5 * size) if fixed else TRIES * size
-    goals = _draw_goals(task, robot, len(chains), n, seed)
-    rotations = [start_rotation(task, robot, i, scene) for i in range(len(chains))]
-    quats = _base_quats(goals.base_yaw, fixed.quat if fixed else (1.0, 0.0, 0.0, 0.0))
-    rots = rotation_matrix(quats, np)
-    key = jax.random.PRNGKey(seed + 1)
-
-    angles, scores, ok = [], np.zeros(n), np.ones(n, bool)
-    reached: dict[str, Any] = {}
-    names = _goal_names(task, len(chains))
-    for a, chain in enumerate(chains):
-        solve = partial(_solve, chain)
-        to_base = lambda p: np.einsum("nji,nj->ni", rots, p - goals.base_pos)  # noqa: E731
-        turn = np.einsum("nji,jk->nik", rots, rotations[a])
-        key, sub = jax.random.split(key)
-        q, distance, rotation, score = solve(sub, to_base(goals.start[:, a]), turn, 0.3, restarts)
-        good = (distance < REACHED) & (rotation < REACHED_ROTATION)
-        rows = np.arange(n)
-        value = np.where(good, score, -1.0)
-        if len(chains) == 1:
-            free = partial(_free_share, Clearance(task, robot), goals.base_pos, quats, q)
-            best = _free_family(q, value, chain, free)
-        else:  # whether an arm is free of contacts depends on the other one too
-            best = _one_family(q, value, chain)
-        angles.append(q[rows, best])
-        ok &= good[rows, best]
-        scores += np.where(good[rows, best], score[rows, best], 0.0)
-        for i, name in enumerate(names[a]):
-            key, sub = jax.random.split(key)
-            _, distance, _, score = solve(
-                sub, to_base(goals.points[a][:, i]), turn, 0.0, max(1, restarts // 4)
-            )
-            good = distance < GOAL_REACHED
-            reached[name] = good.any(axis=1)
-            scores += np.where(good, score, 0.0).max(axis=1)
-    for name, hits in reached.items():
-        if ok.any() and not (hits & ok).any():
-            raise SpecError(
-                f"No base of {robot.name} from which {task.name} can start reaches the goal {name!r} "
-                f"({n} tried). Widen RobotSpec.searches[{task.name!r}] or change Task.goals."
-            )
-    count = sum((hits.astype(int) for hits in reached.values()), np.zeros(n, int))
-    order = np.lexsort((-scores, -count))
-    joined = _unwind(np.concatenate(angles, axis=1), chains, ok)
-    candidates = Placement(goals.base_pos, quats, joined)  # pyrefly: ignore[bad-argument-type]
-    rows = _free_rows(task, robot, candidates, order[ok[order]], size)
-    report = Report(
-        n, int(ok.sum()), {k: int((v & ok).sum()) for k, v in reached.items()}, len(rows)
-    )
-    if not rows:
+    reach = _Reach(task, robot, np.random.default_rng(seed))
+    starts, points = _draw(task, robot, reach, size, seed)
+    if robot.fixed_base(task):
+        found = reach.from_fixed_base(starts)
+    else:
+        found = reach.from_best_base(starts, points, attempts)
+    _check_goals(task, robot, reach)
+    report = Report(reach.tried, reach.reached, dict(reach.goals_reached), int(found.ok.sum()))
+    if not report.kept:
         raise SpecError(f"{robot.name} finds no free start for {task.name}: {report.table()}.")
-    pick = np.array(rows)
-    bank = jax.tree.map(lambda x: jnp.asarray(x[pick], jnp.float32), candidates)
-    return bank, report
+    angles = _canonical(found.angles, reach.chains)
+    bank = [jnp.asarray(x[found.ok], jnp.float32) for x in (found.pos, found.quat, angles)]
+    return Placement(*bank), report
 
 
-def start_rotation(task: Task, robot: RobotSpec, arm: int, scene) -> np.ndarray:
-    """Orientation of a hand's end-effector site at the start, world (3, 3).
+@dataclass(frozen=True)
+class _Found:
+    """Start placements of R rows."""
+
+    pos: np.ndarray  # of the base, world [m] (R, 3)
+    quat: np.ndarray  # wxyz (R, 4)
+    angles: np.ndarray  # of the arms [rad] (R, n_arm)
+    ok: np.ndarray  # whether there is one (R,) bool
+
+
+class _Reach:
+    """Inverse kinematics of a pair's arms, and what was reached so far."""
+
+    def __init__(self, task: Task, robot: RobotSpec, rng: np.random.Generator):
+        self.task, self.robot, self.rng = task, robot, rng
+        self.scene = build_scene(task, robot)
+        self.chains = _chains(self.scene)
+        self.clearance = Clearance(task, robot)
+        half_turn = HALF_TURN.get((task.name, robot.name), 1.0)
+        # AG v0.1 env.py: half_range for Baxter
+        self.limits = [bullet_ik.limits_of(c, robot.name == "Baxter") for c in self.chains]
+        self.solvers = [
+            bullet_ik.Solver(c, limits, half_turn)
+            for c, limits in zip(self.chains, self.limits, strict=True)
+        ]
+        # what AG knows as endless: PR2's joints have limits of 1e10, Jaco's of two turns
+        self.endless = [
+            (x.upper - x.lower > 4 * np.pi - 0.1) & (robot.name == "PR2") for x in self.limits
+        ]
+        self.rest = [_posture(robot, c) for c in self.scene.arms]
+        self.quats = [start_quat(task, robot, a, self.scene) for a in range(len(self.chains))]
+        self.goals = goals_of(task, robot, len(self.chains))
+        self.tried = self.reached = 0
+        names = [g.name for goals in self.goals for g in goals]
+        self.goals_reached = {} if robot.fixed_base(task) else dict.fromkeys(names, 0)
+
+    # -- one goal ------------------------------------------------------------------------------
+
+    def solve(self, arm, start, pos, quat, base_pos, base_quat, iterations, reached=REACHED):
+        """One solution for each of N poses, from a random rest pose.
+
+        Args:
+            arm: which.
+            start: angles that the iterations begin at [rad] (N, n).
+            pos: wanted, world [m] (N, 3).
+            quat: wanted, world, wxyz (4,), or None.
+            base_pos: world [m] (N, 3).
+            base_quat: wxyz (N, 4).
+            iterations: at most.
+            reached: least distance [m] that does not count as reached.
+
+        Returns:
+            angles within the limits [rad] (N, n), distance [m] (N,), whether it is reached (N,), isotropy (N,).
+        """
+        limits, solver = self.limits[arm], self.solvers[arm]
+        rest = self.rng.uniform(limits.lower, limits.upper, (len(pos), solver.n))
+        rots = rotation_matrix(base_quat, np)
+        local = np.einsum("nji,nj->ni", rots, pos - base_pos)
+        turn = None
+        if quat is not None:
+            turn = np.einsum("nji,jk->nik", rots, rotation_matrix(np.array(quat), np))
+        raw = solver.solve(start, rest, local, turn, iterations)
+        q = np.clip(raw, limits.lower, limits.upper)
+        tip, rot, jacobian = solver.forward(q.T)
+        distance = np.linalg.norm(tip.T - local, axis=1)
+        good = distance < reached
+        if quat is not None:
+            world = bullet_ik.bullet_quat(np.einsum("nij,jkn->ikn", rots, rot)).T
+            apart = np.linalg.norm(world - np.array(quat), axis=1)
+            # AG v0.1 util.py: np.isclose(apart, 2, atol=threshold)
+            good &= (apart < REACHED_QUAT) | (np.abs(apart - 2) <= TURNED_QUAT + 2e-5)
+        score = bullet_ik.isotropy(jacobian, raw.T, limits, self.endless[arm])
+        return q, distance, good, score
+
+    # -- a row ---------------------------------------------------------------------------------
+
+    def from_fixed_base(self, starts: np.ndarray) -> _Found:
+        """The first solution that fits, each try beginning where the one before ended.
+
+        Args:
+            starts: of the hand, world [m] (R, n_arms, 3).
+        """
+        fixed = self.robot.fixed_base(self.task)
+        rows, reached = len(starts), FIXED_REACHED.get(self.task.name, REACHED)
+        pos, quat = (np.tile(np.array(x, float), (rows, 1)) for x in (fixed.pos, fixed.quat))
+        angles = np.tile(np.concatenate(self.rest), (rows, 1))
+        ok, left = np.zeros(rows, bool), np.arange(rows)
+        for _ in range(FIXED_RESTARTS):
+            q, _, good, _ = self.solve(
+                0, angles[left], starts[left, 0], self.quats[0], pos[left], quat[left],
+                FIXED_ITERATIONS, reached,
+            )  # fmt: skip
+            good &= [self._free(pos[i], quat[i], x) for i, x in zip(left, q, strict=True)]
+            angles[left], ok[left] = q, good
+            self.tried += len(left)
+            left = left[~good]
+            if not len(left):
+                break
+        self.reached = int(ok.sum())
+        return _Found(pos, quat, angles, ok)
+
+    def from_best_base(self, starts: np.ndarray, points: list, attempts: int) -> _Found:
+        """The best of ``attempts`` bases for each row; more where none of them has a start.
+
+        Args:
+            starts: of the hands, world [m] (R, n_arms, 3).
+            points: of each arm, goals, world [m] (R, n_goals, 3).
+            attempts: for each row.
+        """
+        rows, n = len(starts), sum(s.n for s in self.solvers)
+        out = _Found(
+            np.zeros((rows, 3)), np.zeros((rows, 4)), np.zeros((rows, n)), np.zeros(rows, bool)
+        )
+        left = np.arange(rows)
+        for round_ in range(ROUNDS):
+            who = np.repeat(left, attempts)
+            pos, quat = self._bases(len(who))
+            q, count, score = self._try(starts, points, who, pos, quat)
+            count, score = count.reshape(-1, attempts), score.reshape(-1, attempts)
+            rank = -1e3 * count - score
+            if round_:  # AG stops at the first
+                rank = np.where(count > 0, np.arange(attempts), np.inf)
+            best = np.full(len(left), -1)
+            for i, order in enumerate(
+                np.argsort(rank, axis=1) + attempts * np.arange(len(left))[:, None]
+            ):
+                valid = (j for j in order if count.reshape(-1)[j] > 0)
+                best[i] = next((j for j in valid if self._free(pos[j], quat[j], q[j])), -1)
+            good = best >= 0
+            to, of = left[good], best[good]
+            out.pos[to], out.quat[to], out.angles[to], out.ok[to] = pos[of], quat[of], q[of], True
+            left = left[~good]
+            if not len(left):
+                break
+        return out
+
+    def _try(self, starts, points, who, pos, quat):
+        """Angles at the start (N, n), poses reached (N,), 0 for discarded bases, and the sum of isotropies (N,)."""
+        angles, count, score = [], np.zeros(len(who)), np.zeros(len(who))
+        alive = np.ones(len(who), bool)
+        self.tried += len(who)
+
+        def reach(arm, wanted, turn):
+            at = np.flatnonzero(alive)
+            begin = np.tile(self.rest[arm], (len(at), 1))
+            q, _, good, value = self.solve(
+                arm, begin, wanted[who[at]], turn, pos[at], quat[at], ITERATIONS
+            )
+            count[at] += good
+            score[at] += np.where(good, value, 0.0)
+            return at, q, good
+
+        for arm, solver in enumerate(self.solvers):
+            at, q, good = reach(arm, starts[:, arm], self.quats[arm])
+            angles.append(np.zeros((len(who), solver.n)))
+            angles[-1][at] = q
+            alive[at] &= good
+        self.reached += int(alive.sum())
+        for arm, goals in enumerate(self.goals):
+            for i, goal in enumerate(goals):
+                at, _, good = reach(arm, points[arm][:, i], goal.quat)
+                if not goal.must:
+                    self.goals_reached[goal.name] += int(good.sum())
+                else:
+                    alive[at] &= good
+        return np.concatenate(angles, axis=1), np.where(alive, count, 0.0), score
+
+    def _free(self, pos: np.ndarray, quat: np.ndarray, angles: np.ndarray) -> bool:
+        """Whether the arms touch nothing; some are not kept from the robot's own body in AG."""
+        place = Placement(pos, quat, angles)  # pyrefly: ignore[bad-argument-type]
+        if not self.robot.meets_itself and self.clearance.inside(place) <= CLEARANCE:
+            return False
+        return self.clearance.outside(place) > CLEARANCE
+
+    def _bases(self, n: int) -> tuple[np.ndarray, np.ndarray]:
+        """Positions [m] (n, 3) and orientations wxyz (n, 4) of candidates."""
+        area = self.robot.base_search(self.task.name)
+        away = area.side * self.rng.uniform(0.0, area.spread, n)
+        along = self.rng.uniform(-area.spread, area.spread, n)
+        yaw = area.yaw + self.rng.uniform(-YAW, YAW, n)
+        quat = axis_angle_quat(np.array([0.0, 0.0, 1.0]), yaw, np)
+        placed = np.array(area.centre) + np.stack([away, along, np.zeros(n)], axis=1)
+        return placed - rotation_matrix(quat, np) @ np.array(area.pivot), quat
+
+
+def goals_of(task: Task, robot: RobotSpec, n_arms: int) -> list[list[Goal]]:
+    """What each arm of a pair has to reach besides its start, as AG's task has it.
+
+    A single arm has to reach all of a task's goals. Where AG asks for more than a position (tasks.md sections 4 to 6):
+    """
+    turned = robot.start_rotations.get(task.name)
+    if task.name in ("Feeding", "Drinking", "Reaching") and turned:
+        must = (
+            [] if (task.name, robot.name) == ("Feeding", "Baxter") else [Goal("mouth", must=True)]
+        )
+        again = Goal("mouth", turned if task.name != "Reaching" else None)
+        return [[*must, again]]
+    if task.name == "Dressing" and turned:
+        # Euler (0, 0, 3 pi / 2); (pi / 2, -pi / 2, 0)
+        across = (-_H, 0.0, 0.0, _H) if robot.name == "PR2" else (0.5, 0.5, -0.5, 0.5)
+        quats = (across, turned, turned)
+        return [[Goal(n, q, 0.1) for n, q in zip(task.goals[0], quats, strict=True)]]
+    if n_arms == len(task.goals):
+        return [[Goal(n) for n in names] for names in task.goals]
+    return [[Goal(n) for names in task.goals for n in names]]
+
+
+def start_quat(task: Task, robot: RobotSpec, arm: int, scene: Any) -> Quat:
+    """Orientation of a hand's end-effector site at the start, world, wxyz.
 
     By default the hand points along +x, at the person, and its fingers open sideways.
     """
     if task.name in robot.start_rotations:
-        return rotation_matrix(np.array(robot.start_rotations[task.name]), np)
+        return robot.start_rotations[task.name]
     model, spec = scene.model, scene.arms[arm]
     rot = lambda name: rotation_matrix(model.site(f"robot/{name}").quat, np)  # noqa: E731
     tool_in_hand = rot(spec.end_effector).T @ rot(spec.tool_frame)
     forwards = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    return forwards @ tool_in_hand.T
+    return tuple(bullet_ik.bullet_quat((forwards @ tool_in_hand.T)[:, :, None])[:, 0].tolist())
+
+
+def _posture(robot: RobotSpec, arm: Any) -> np.ndarray:
+    """Angles that the arm has before each solution is looked for [rad] (n,)."""
+    return np.array([robot.rest.get(j, 0.0) for j in arm.joints])
 
 
 def _chains(scene) -> list[kinematics.Chain]:
@@ -179,25 +353,10 @@ def _chains(scene) -> list[kinematics.Chain]:
     return chains
 
 
-def _goal_names(task: Task, n_arms: int) -> list[list[str]]:
-    """Names of the further goals of each arm; a single arm has to reach all of them."""
-    if n_arms == len(task.goals):
-        return [list(names) for names in task.goals]
-    return [[name for names in task.goals for name in names]]
-
-
-def _draw_goals(task: Task, robot: RobotSpec, n_arms: int, n: int, seed: int) -> Goals:
-    """Base poses, start positions, and goals of as many people (64 different ones)."""
-    rng = np.random.default_rng(seed)
-    fixed, area = robot.fixed_base(task), robot.base_search(task.name)
-    if fixed:
-        base, yaw = np.tile(np.array(fixed.pos), (n, 1)), np.zeros(n)
-    else:
-        away = area.side * rng.uniform(0.0, area.spread, n)
-        along = rng.uniform(-area.spread, area.spread, n)
-        base = np.array(area.centre) + np.stack([away, along, np.zeros(n)], axis=1)
-        yaw = area.yaw + rng.uniform(-YAW, YAW, n)
-    keys = jax.random.split(jax.random.PRNGKey(seed), n)
+def _draw(task: Task, robot: RobotSpec, reach: _Reach, rows: int, seed: int):
+    """Start positions of the hands (R, n_arms, 3), and goals of each arm (R, n_goals, 3), world [m]."""
+    n_arms = len(reach.chains)
+    keys = jax.random.split(jax.random.PRNGKey(seed), rows)
     start = np.asarray(jax.vmap(lambda k: task.start(k, robot.name))(keys))
     if start.ndim != 3 or start.shape[1] < n_arms or start.shape[2] != 3:
         raise SpecError(
@@ -205,12 +364,14 @@ def _draw_goals(task: Task, robot: RobotSpec, n_arms: int, n: int, seed: int) ->
             f"{robot.name} it gives {start.shape[1:]}."
         )
     humans = _points(task, [x for names in task.goals for x in names], 64, seed)
-    who = rng.integers(0, 64, n)
-    points = tuple(
-        np.stack([humans[name][who] for name in names], axis=1) if names else np.zeros((n, 0, 3))
-        for names in _goal_names(task, n_arms)
-    )
-    return Goals(base, yaw, start[:, :n_arms], points)
+    who = reach.rng.integers(0, 64, rows)
+    points = [
+        np.stack([humans[g.name][who] + (0.0, 0.0, g.above) for g in goals], axis=1)
+        if goals
+        else np.zeros((rows, 0, 3))
+        for goals in reach.goals
+    ]
+    return start[:, :n_arms].astype(float), points
 
 
 def _points(task: Task, names: list[str], count: int, seed: int) -> dict[str, np.ndarray]:
@@ -246,142 +407,19 @@ def _points(task: Task, names: list[str], count: int, seed: int) -> dict[str, np
     return {name: np.array(rows) for name, rows in found.items()}
 
 
-def _one_family(q: np.ndarray, score: np.ndarray, chain: kinematics.Chain) -> np.ndarray:
-    """Choose a solution per candidate, so that the chosen ones are similar and nearly the best.
-
-    A pose has several families of solutions (elbow up or down, wrist flipped), often equally good. A policy learns
-    more easily if every episode starts from the same family.
-
-    Args:
-        q: solutions [rad] (N, restarts, n).
-        score: of each, -1 where it does not reach (N, restarts).
-        chain: for the limits.
-
-    Returns:
-        index of the solution (N,); the best one where no candidate reaches.
-    """
-    fine = (score > 0) & (score >= NEARLY_BEST * score.max(axis=1, keepdims=True))
-    if not fine.any():
-        return np.argmax(score, axis=1)
-    wrap = partial(_wrap, chain=chain)
-    pool = q[fine]
-    pick = np.random.default_rng(0).permutation(len(pool))
-    seeds, others = pool[pick[:256]], pool[pick[-2048:]]
-    similar = np.abs(wrap(seeds[:, None] - others[None])).max(axis=-1) < 1.0
-    middle = seeds[np.argmax(similar.sum(axis=1))]
-    apart = np.linalg.norm(wrap(q - middle), axis=-1)
-    return np.argmin(np.where(fine, apart, np.inf), axis=1)
+def _check_goals(task: Task, robot: RobotSpec, reach: _Reach) -> None:
+    """Raise SpecError if a goal is out of reach of every base."""
+    if not reach.reached:
+        return
+    for name, hits in reach.goals_reached.items():
+        if not hits:
+            raise SpecError(
+                f"No base of {robot.name} from which {task.name} can start reaches the goal {name!r} "
+                f"({reach.tried} tried). Widen RobotSpec.searches[{task.name!r}] or change Task.goals."
+            )
 
 
-def _wrap(difference: np.ndarray, chain: kinematics.Chain) -> np.ndarray:
-    """Differences of angles (..., n) [rad]; those of continuous joints in [-pi, pi)."""
-    free = chain.upper - chain.lower > 2 * np.pi + 0.1
-    return np.where(free, (difference + np.pi) % (2 * np.pi) - np.pi, difference)
-
-
-def _free_family(
-    q: np.ndarray, score: np.ndarray, chain: kinematics.Chain, free: Callable[[np.ndarray], float]
-) -> np.ndarray:
-    """As ``_one_family``, but a family that is mostly in contact is replaced by the next one.
-
-    Args:
-        q: solutions [rad] (N, restarts, n).
-        score: of each, -1 where it does not reach (N, restarts).
-        chain: for the limits.
-        free: share of contact-free poses, given the solution of each candidate (N,).
-
-    Returns:
-        index of the solution (N,), of the first family that is free of contacts for at least half of the
-        candidates, or else of the one that is free most often.
-    """
-    rows, left = np.arange(len(q)), score.copy()
-    best, most = _one_family(q, left, chain), -1.0
-    while (left > 0).any() and most < 0.5:
-        pick = _one_family(q, left, chain)
-        reached = left[rows, pick] > 0
-        share = free(np.where(reached, pick, -1))
-        if share > most:
-            best, most = np.where(reached, pick, best), share
-        similar = np.abs(_wrap(q - q[rows, pick][:, None], chain)).max(axis=-1) < 1.0
-        left = np.where(similar & reached[:, None], -1.0, left)
-    return best
-
-
-def _free_share(
-    clearance: Clearance, pos: np.ndarray, quat: np.ndarray, q: np.ndarray, pick: np.ndarray
-) -> float:
-    """Share of contact-free poses among 24 of the picked solutions (N,), -1 for none."""
-    some = np.random.default_rng(0).permutation(np.flatnonzero(pick >= 0))[:24]
-    return float(np.mean([
-        _is_free(clearance, Placement(pos[i], quat[i], q[i, pick[i]])) for i in some
-    ]))  # fmt: skip
-
-
-def _is_free(clearance: Clearance, place: Placement) -> bool:
-    return clearance.inside(place) > CLEARANCE and clearance.outside(place) > CLEARANCE
-
-
-def _solve(chain, key, pos, rot, weight, restarts):
-    """Inverse kinematics of N poses from several initial angles each: (N, restarts, ...)."""
-    low, high = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
-    high = np.where(high < low + 0.5, chain.upper, high)
-    starts = jax.random.uniform(
-        key, (len(pos), restarts, len(low)), minval=jnp.asarray(low), maxval=jnp.asarray(high)
-    )
-    out = _solver(id(chain), chain)(
-        starts, jnp.asarray(pos, jnp.float32), jnp.asarray(rot, jnp.float32), weight
-    )
-    return tuple(np.asarray(x) for x in out)
-
-
-_COMPILED: dict[int, Any] = {}
-
-
-def _solver(key: int, chain: kinematics.Chain) -> Any:
-    if key not in _COMPILED:
-
-        def one(start, pos, rot, weight):
-            q, distance, turn = kinematics.inverse(chain, start, pos, rot, 40, weight=weight)
-            return q, distance, turn, kinematics.isotropy(chain, q)
-
-        _COMPILED[key] = jax.jit(jax.vmap(jax.vmap(one, (0, None, None, None)), (0, 0, 0, None)))
-    return _COMPILED[key]
-
-
-def _base_quats(yaw: np.ndarray, quat: tuple[float, ...]) -> np.ndarray:
-    """Quaternions wxyz (N, 4) of a base orientation, rotated about the vertical."""
-    about_z = axis_angle_quat(np.array([0.0, 0.0, 1.0]), yaw, np)
-    return quat_mul(about_z, np.array(quat), np)
-
-
-def _free_rows(
-    task: Task, robot: RobotSpec, candidates: Placement, order: np.ndarray, size: int
-) -> list[int]:
-    """The first ``size`` of the ordered candidates that are free of contacts."""
-    clearance = Clearance(task, robot)
-    rows: list[int] = []
-    for i in order:
-        place = jax.tree.map(lambda x: x[i], candidates)  # noqa: B023
-        if _is_free(clearance, place):
-            rows.append(int(i))
-            if len(rows) == size:
-                break
-    return rows
-
-
-def _unwind(angles: np.ndarray, chains: list[kinematics.Chain], ok: np.ndarray) -> np.ndarray:
-    """Bring continuous joints to within pi of the mean angle of the reached rows.
-
-    Args:
-        angles: (N, n) [rad].
-        chains: of the arms, for the limits.
-        ok: rows whose start is reached (N,) bool.
-    """
-    lower = np.concatenate([c.lower for c in chains])
-    upper = np.concatenate([c.upper for c in chains])
-    free = upper - lower > 2 * np.pi + 0.1
-    used = angles[ok] if ok.any() else angles
-    mean = np.arctan2(np.sin(used).mean(0), np.cos(used).mean(0))
-    near = mean + (angles - mean + np.pi) % (2 * np.pi) - np.pi
-    inside = free & (near >= lower) & (near <= upper)
-    return np.where(inside, near, angles).astype(np.float32)
+def _canonical(angles: np.ndarray, chains: list[kinematics.Chain]) -> np.ndarray:
+    """Angles (R, n) [rad] with those of joints that turn freely in [-pi, pi)."""
+    span = np.concatenate([c.upper - c.lower for c in chains])
+    return np.where(span > 2 * np.pi + 3.5, (angles + np.pi) % (2 * np.pi) - np.pi, angles)

@@ -20,16 +20,16 @@ class Clearance:
 
     def __init__(self, task: Task, robot: RobotSpec):
         moving = task.human.moving(active=False)
+        self.joints = [f"robot/{j}" for arm in robot.arms_for(task) for j in arm.joints]
         self.scenes = []
         for sex in (0.0, 1.0):
             angles = human_pose.start_angles(human_pose.typical(task.human, sex), moving, 1.0, np)
-            scene = _CompiledScene(compose(task, robot, sex=sex, solid=True))
+            scene = _CompiledScene(compose(task, robot, sex=sex, solid=True), self.joints)
             scene.set_angles([f"human/{j}" for j in moving], angles)
             self.scenes.append(scene)
-        self.joints = [f"robot/{j}" for arm in robot.arms_for(task) for j in arm.joints]
 
     def outside(self, place: Placement) -> float:
-        """Distance of robot and tools from person and furniture, at most ``FAR`` [m]."""
+        """Distance of the moving arms and their tools from person and furniture, at most ``FAR`` [m]."""
         nearest = FAR
         for scene in self.scenes:
             scene.set_placement(place, self.joints)
@@ -46,8 +46,9 @@ class Clearance:
 class _CompiledScene:
     """A compiled scene and the geom pairs whose distances count."""
 
-    def __init__(self, model: mujoco.MjModel):
+    def __init__(self, model: mujoco.MjModel, joints: list[str]):
         self.model, self.data = model, mujoco.MjData(model)
+        moving = {model.joint(name).id for name in joints}
         names = [model.geom(i).name for i in range(model.ngeom)]
         of = lambda *prefix: [  # noqa: E731
             i for i, n in enumerate(names) if n.startswith(prefix) and COLLISION in n
@@ -55,7 +56,8 @@ class _CompiledScene:
         robot = of("robot/", "tool")
         rest = [i for i, n in enumerate(names) if n.startswith("human/")] + of("seat/")
         self.root = int(model.body_rootid[model.geom_bodyid[robot[0]]])
-        self.outside = np.array([(a, b) for a in robot for b in rest])
+        arms = [g for g in robot if self._joints_above(model.geom_bodyid[g]) & moving]
+        self.outside = np.array([(a, b) for a in arms for b in rest])
         self.inside = self._inside(robot)
 
     def _inside(self, geoms: list[int]) -> np.ndarray:

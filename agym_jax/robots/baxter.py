@@ -92,6 +92,7 @@ BAXTER = RobotSpec(
         "Dressing": BaseSearch((0.85, 0.3, 0.975), side=1.0, yaw=math.pi),
     },
     base_height=0.975,
+    meets_itself=True,  # AG v0.1 loads it without self-collision (robots.md section 2)
     start_rotations={
         # AG v0.1 scratch_itch.py, bed_bathing.py: Euler (0, pi/2, 0), the hand along world +x
         "ScratchItch": (_H, 0.0, _H, 0.0),

@@ -78,6 +78,7 @@ PR2 = RobotSpec(
         "Dressing": BaseSearch((0.85, 0.3, 0.0), side=1.0, yaw=math.pi),
     },
     # tasks.md sections 2, 3, 7, 8: Euler (0, 0, 0), the hand points along world +x; Reaching (pi/2, 0, 0)
+    meets_itself=True,  # AG v0.1 loads it without self-collision (robots.md section 2)
     start_rotations={
         "ScratchItch": (1.0, 0.0, 0.0, 0.0),
         "BedBathing": (1.0, 0.0, 0.0, 0.0),

@@ -21,6 +21,13 @@ _ARM = Arm(
         "right_l4_collision",
     ),
 )
+
+
+def _search(x: float, y: float, side: float = -1.0, yaw: float = 0.0) -> BaseSearch:
+    """Where the base may stand: AG puts the centre of mass of the root there (sawyer.json: base link)."""
+    return BaseSearch((x, y, 0.975), side=side, yaw=yaw, pivot=(-0.1, 0.0, 0.07))
+
+
 _H = math.sqrt(0.5)
 _C, _S = math.cos(0.05), math.sin(0.05)
 
@@ -51,16 +58,15 @@ SAWYER = RobotSpec(
         ),
         "cup": Pose((0.0, 0.05, -0.0077), (0.0, _H, 0.0, _H)),
     },
-    # robots.md section 7: (-0.85, -0.4) and the task's pos_offset; baseline.md: the URDF's root stands
-    # (0.1, 0, -0.07) from there; Reaching as Feeding
+    # robots.md section 7: (-0.85, -0.4) and the task's pos_offset; Reaching as Feeding
     searches={
-        "ScratchItch": BaseSearch((-0.85, -0.4, 0.905)),
-        "BedBathing": BaseSearch((-0.95, -0.4, 0.905)),
-        "ArmManipulation": BaseSearch((-1.05, 0.2, 0.905)),
-        "Reaching": BaseSearch((-0.85, -0.2, 0.905)),
-        "Feeding": BaseSearch((-0.85, -0.2, 0.905)),
-        "Drinking": BaseSearch((-0.85, -0.2, 0.905)),
-        "Dressing": BaseSearch((0.95, 0.3, 0.905), side=1.0, yaw=math.pi),
+        "ScratchItch": _search(-0.95, -0.4),
+        "BedBathing": _search(-1.05, -0.4),
+        "ArmManipulation": _search(-1.15, 0.2),
+        "Reaching": _search(-0.95, -0.2),
+        "Feeding": _search(-0.95, -0.2),
+        "Drinking": _search(-0.95, -0.2),
+        "Dressing": _search(0.95, 0.3, side=1.0, yaw=math.pi),
     },
     base_height=0.905,
     start_rotations={

@@ -20,7 +20,7 @@ from agym_jax.errors import MissingPlacementError, SpecError
 from agym_jax.human import pose as human_pose
 from agym_jax.math3d import rotation_matrix
 from agym_jax.offline import placements
-from agym_jax.offline.base_search import REACHED, REACHED_ROTATION, search
+from agym_jax.offline.base_search import REACHED, search
 from agym_jax.offline.clearance import Clearance
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
@@ -41,6 +41,8 @@ START = {
     "ArmManipulation": ((-0.9, 0.7, 0.8), (-0.9, -0.3, 0.8)),
     "Reaching": ((-0.15, -0.4, 1.0),),
 }
+TURNED = 0.06
+"""Quaternions that are 0.03 apart, AG's threshold, are turned by this angle [rad]."""
 JACO_STARTS = {"ScratchItch": ((-0.5, 0.0, 0.8),), "ArmManipulation": ((-0.9, 0.4, 1.0),)}
 
 
@@ -73,6 +75,15 @@ class Stage:
                 data.qpos[model.joint(joint).qposadr[0]] = angle
             mujoco.mj_kinematics(model, data)
 
+    def moves(self, model: mujoco.MjModel, body: int) -> bool:
+        """Whether an arm in use carries the body."""
+        while body:
+            first, n = model.body_jntadr[body], model.body_jntnum[body]
+            if any(model.joint(j).name in self.joints for j in range(first, first + n)):
+                return True
+            body = model.body_parentid[body]
+        return False
+
     def hands(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Position and rotation matrix of each steered link."""
         _, data = self.batch[0]
@@ -80,12 +91,12 @@ class Stage:
         return [(np.array(s.xpos), np.array(s.xmat).reshape(3, 3)) for s in sites]
 
     def touching(self) -> list[tuple[str, str]]:
-        """Geoms of robot and tools that are inside of person or furniture, and which."""
+        """Geoms of the arms in use and their tools that are inside of person or furniture, and which."""
         found = []
         for model, data in self.batch:
             names = [model.geom(i).name for i in range(model.ngeom)]
             solid = [i for i, n in enumerate(names) if n and model.geom_group[i] == 3]
-            mine = [i for i in solid if names[i].startswith(("robot/", "tool"))]
+            mine = [i for i in solid if self.moves(model, model.geom_bodyid[i])]
             other = [i for i in solid if names[i].startswith(("human/", "seat/"))]
             assert len(mine) > 8 and len(other) > 19
             for i in mine:
@@ -116,12 +127,17 @@ def test_bank_rows_respect_joint_limits_and_base_areas(task: str, robot: str):
     bank = load_bank(spec, machine)
     arms = machine.arms_for(spec)
     n = len(bank.arm_angles)
-    assert n >= 128 and bank.arm_angles.shape == (n, 7 * len(arms))
+    assert n >= 400 and bank.arm_angles.shape == (n, 7 * len(arms))
     assert all(np.isfinite(x).all() for x in (bank.base_pos, bank.base_quat, bank.arm_angles))
     model, _ = stage(spec, machine).batch[0]
     joints = [f"robot/{j}" for arm in arms for j in arm.joints]
     low, high = np.array([model.joint(j).range for j in joints]).T
     assert (bank.arm_angles >= low - 1e-5).all() and (bank.arm_angles <= high + 1e-5).all()
+    free = (
+        high - low > 9.5
+    )  # joints that turn freely begin in one turn, with a turn's room on both sides
+    assert free.sum() == {"Jaco": 4, "PR2": 2 * len(arms)}.get(robot, 0)
+    assert (bank.arm_angles[:, free] >= -np.pi).all() and (bank.arm_angles[:, free] < np.pi).all()
     np.testing.assert_allclose(np.linalg.norm(bank.base_quat, axis=1), 1.0, atol=1e-6)
     fixed = machine.fixed_base(spec)
     if fixed:
@@ -131,7 +147,8 @@ def test_bank_rows_respect_joint_limits_and_base_areas(task: str, robot: str):
     # robots.md section 7: up to rho beside the centre, on the side of the arm that is helped or of
     # the hand that feeds; yaw within 30 degrees of facing the same way
     area = machine.base_search(task)
-    away = bank.base_pos - np.array(area.centre)
+    rots = rotation_matrix(np.asarray(bank.base_quat), np)
+    away = bank.base_pos + rots @ np.array(area.pivot) - np.array(area.centre)
     rho = 0.1 if robot == "Jaco" else 0.5
     outwards = away[:, 0] * (1 if task == "Dressing" else -1)
     assert (outwards >= -1e-5).all() and (outwards <= rho + 1e-5).all()
@@ -159,8 +176,9 @@ def test_bank_rows_start_at_assistive_gyms_pose_without_contact(task: str, robot
         for (pos, rot), start in zip(world.hands(), starts, strict=False):
             drawn = 0.1 if task == "Feeding" else 0.05
             assert np.abs(pos - start).max() < drawn + REACHED, i
-            assert turned_by(rot, machine.start_rotations[task]) < REACHED_ROTATION, i
-        assert clearance.outside(place) > 0 and clearance.inside(place) > 0, i
+            assert turned_by(rot, machine.start_rotations[task]) < TURNED, i
+        assert clearance.outside(place) > 0, i
+        assert machine.meets_itself or clearance.inside(place) > 0, i
         if pairs := world.touching():
             touching[int(i)] = pairs
     assert not touching
@@ -208,10 +226,11 @@ class LiftHere(ArmManipulation):
 def test_search_finds_contact_free_start_poses(
     task: Task, robot: RobotSpec, points: tuple, size: int
 ):
-    bank, report = search(task, robot, seed=3, size=size)
+    bank, report = search(task, robot, seed=3, size=size, attempts=50)
     n = len(bank.arm_angles)
     assert 1 <= n <= size and n == report.kept <= report.start_reached <= report.tried
-    assert set(report.goals_reached) == {name for names in task.goals for name in names}
+    goals = {name for names in task.goals for name in names}  # a fixed base reaches what it reaches
+    assert set(report.goals_reached) == (set() if robot.fixed_base(task) else goals)
     assert all(0 < hits <= report.start_reached for hits in report.goals_reached.values())
     assert f"{n} kept" in report.table()
     world = stage(task, robot)
@@ -219,13 +238,13 @@ def test_search_finds_contact_free_start_poses(
         world.put(row_of(bank, i))
         for (pos, rot), point in zip(world.hands(), points, strict=True):
             assert np.linalg.norm(pos - point) < REACHED + 1e-5
-            assert turned_by(rot, robot.start_rotations[task.name]) < REACHED_ROTATION + 1e-4
+            assert turned_by(rot, robot.start_rotations[task.name]) < TURNED
         assert not world.touching()
 
 
 def test_search_is_reproducible():
     task, robot = ScratchHere(), ROBOTS["Jaco"]
-    (a, _), (b, _), (c, _) = (search(task, robot, seed=s, size=4, restarts=4) for s in (0, 0, 1))
+    (a, _), (b, _), (c, _) = (search(task, robot, seed=s, size=4) for s in (0, 0, 1))
     np.testing.assert_array_equal(a.arm_angles, b.arm_angles)
     assert np.abs(np.asarray(a.arm_angles)[0] - np.asarray(c.arm_angles)[0]).max() > 1e-3
 
@@ -235,14 +254,14 @@ def test_unreachable_start_is_refused():
         ROBOTS["Sawyer"], searches={"BedBathing": BaseSearch((-4.0, 0.0, 0.905))}
     )
     with pytest.raises(SpecError, match=r"Sawyer finds no free start for BedBathing: .*by 0 %"):
-        search(WipeHere(), far, size=2, restarts=2)
+        search(WipeHere(), far, size=2, attempts=4)
 
 
 def test_unreachable_goal_is_named():
     # Jaco stands beside the person's head
     task = dataclasses.replace(WipeHere(), goals=(("right_upper_arm", "left_foot"),))
     with pytest.raises(SpecError, match=r"'left_foot'.*searches\['BedBathing'\]"):
-        search(task, ROBOTS["Jaco"], size=4, restarts=4)
+        search(task, ROBOTS["Jaco"], size=4, attempts=20)
 
 
 def test_missing_bank_names_the_command():

@@ -31,6 +31,7 @@ from agym_jax.math3d import rotation_matrix
 from agym_jax.offline import placements
 from agym_jax.registry import parse, register_robot, register_task
 from agym_jax.robots import ROBOTS
+from agym_jax.sim.motors import Motors
 from agym_jax.sim.scene import build_scene, compose
 from agym_jax.tasks import TASKS
 
@@ -134,8 +135,9 @@ def test_the_builder_says_which_id_it_does_not_know(toy: ModuleType, capsys):
 def test_the_scene_has_the_toys_joints_motors_and_contacts(toy: ModuleType):
     joints = toy.TOYBOT.arms["right"].joints
     model = compose(toy.WAVING, toy.TOYBOT)
-    assert model.nq == model.nv == model.nu == len(joints) == 7
-    assert [model.actuator(i).name for i in range(model.nu)] == list(joints)
+    assert model.nq == model.nv == len(joints) == 7
+    bounds = [model.joint(f"robot/{x}").frictionloss[0] for x in joints]
+    assert bounds == [toy.WAVING.control.max_torque] * 7
     pairs = {model.sensor(i).name for i in range(model.nsensor)}
     assert "robot_human|robot/hand_collision|human/head" in pairs
     active = build_scene(toy.WAVING, toy.TOYBOT, active=True)
@@ -144,21 +146,26 @@ def test_the_scene_has_the_toys_joints_motors_and_contacts(toy: ModuleType):
 
 def test_c_mujoco_simulates_the_toy(toy: ModuleType):
     model = compose(toy.WAVING, toy.TOYBOT, active=True)
-    data = mujoco.MjData(model)
-    data.ctrl[:] = 0.25
-    mujoco.mj_step(model, data, 1000)
+    data, dofs = mujoco.MjData(model), np.flatnonzero(model.dof_frictionloss)
+    motors = Motors.of(model, dofs, toy.WAVING.control)
+    for _ in range(1000):
+        motors.prepare(model, data, np.full(7, 0.25))
+        mujoco.mj_step(model, data)
     assert not any(warning.number for warning in data.warning)
     # nothing pulls at the robot: it goes where its motors want it
-    joints = model.actuator_trnid[:, 0]
-    np.testing.assert_allclose(data.qpos[model.jnt_qposadr[joints]], 0.25, atol=0.01)
+    np.testing.assert_allclose(data.qpos[dofs], 0.25, atol=0.01)
 
 
 @pytest.mark.parametrize("visual", [False, True])
 def test_every_pair_with_ours_compiles(toy: ModuleType, visual: bool):
     for task in OUR_TASKS:
-        assert compose(TASKS[task], toy.TOYBOT, visual=visual).nu == 7
+        assert _motors(compose(TASKS[task], toy.TOYBOT, visual=visual)) == 7
     for robot in OUR_ROBOTS:
-        assert compose(toy.WAVING, ROBOTS[robot], visual=visual).nu == 7
+        assert _motors(compose(toy.WAVING, ROBOTS[robot], visual=visual)) == 7
+
+
+def _motors(model: mujoco.MjModel) -> int:
+    return np.count_nonzero(model.dof_frictionloss)
 
 
 @pytest.mark.parametrize(

@@ -160,17 +160,13 @@ class NativePhysics:
         """One control step. The ``qpos`` of an environment that goes non-finite are NaN."""
         index, sensors, samples = self.scene.index, [], []
         target, goal = np.asarray(targets.target), np.asarray(targets.goal)
-        motors = self.controller.motors
         with self._lock:
             d = self._load(data, episode)
             for _ in range(self.frame_skip):
                 if not _is_sound(d):
                     break
                 d.qfrc_applied[index.human_dof] = self._torque(d, target)
-                q, v = d.qpos[index.robot_qpos], d.qvel[index.robot_dof]
-                drive = motors.drive(motors.inertia(d.M, np), q, v, goal, np)
-                d.qvel[index.robot_dof], d.qfrc_applied[index.robot_dof] = drive[:2]
-                self.model.dof_solref[index.robot_dof] = drive.solref
+                self.controller.motors.prepare(self.model, d, goal)
                 mujoco.mj_step(self.model, d)
                 if self.controller.at_joints:
                     q, v = d.qpos[index.human_qpos], d.qvel[index.human_dof]

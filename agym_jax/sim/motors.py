@@ -56,6 +56,7 @@ class Motors:
     damping: np.ndarray  # of the joints themselves [N m s/rad]               (n,)
     impedance: np.ndarray  # of the constraints                               (n,)
     dofs: np.ndarray  # of the joints                                         (n,)
+    qpos: np.ndarray  # addresses of their angles                             (n,)
     entries: np.ndarray  # where the inertia is in MuJoCo's sparse matrix     (n, n)
 
     @classmethod
@@ -74,6 +75,7 @@ class Motors:
             damping=model.dof_damping[dofs].astype(np.float32),
             impedance=model.dof_solimp[dofs, 1].astype(np.float32),
             dofs=dofs,
+            qpos=model.jnt_qposadr[model.dof_jntid[dofs]],
             entries=entries[np.ix_(dofs, dofs)],
         )
 
@@ -102,6 +104,19 @@ class Motors:
         damper = xp.where(start == 0.0, 0.0, damper)
         torque = inertia @ (v - start) / self.time_step - self.damping * (v - start)
         return Drive(start, torque, xp.stack([0.0 * damper, -damper * self.impedance], axis=-1))
+
+    def prepare(self, model: mujoco.MjModel, data: mujoco.MjData, goal: np.ndarray) -> None:
+        """Drive the joints in the next ``mj_step`` of C MuJoCo: writes into both model and data.
+
+        Args:
+            model: of the scene.
+            data: of the scene; its inertia matrix is that of the last physics step.
+            goal: angles to reach [rad] (n,).
+        """
+        at, dofs = self.qpos, self.dofs
+        drive = self.drive(self.inertia(data.M, np), data.qpos[at], data.qvel[dofs], goal, np)
+        data.qvel[dofs], data.qfrc_applied[dofs] = drive.velocity, drive.torque
+        model.dof_solref[dofs] = drive.solref
 
 
 def add_motors(spec: mujoco.MjSpec, control: Control, joints: list[str]) -> None:

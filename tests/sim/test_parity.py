@@ -82,6 +82,8 @@ def test_fields_written_per_person_are_those_of_a_fresh_compilation(static_env, 
             a, b = np.asarray(getattr(mine, name)), getattr(theirs, name)
             if name.endswith("quat"):
                 a = a * np.where(np.sum(a * b, -1, keepdims=True) < 0, -1, 1)
+            if name == "dof_armature":  # that of the muscles' damping belongs to the episode
+                a, b = a[static_env.scene.index.robot_dof], b[static_env.scene.index.robot_dof]
             np.testing.assert_allclose(a, b, atol=1e-5, err_msg=f"{name}, person {i}")
         # interpolated between man and woman: right to a share for those between and beyond
         inertia = np.asarray(mine.dof_invweight0) / theirs.dof_invweight0
@@ -151,8 +153,8 @@ class _Shadow:
         self.env, self.index = env, env.scene.index
         self.model = compiled_human(env, episode)
         mine = env.physics.model_of(episode)
-        # the motors' damping belongs to the episode; invweights are interpolated on purpose
-        for name in ("dof_damping", "body_invweight0", "dof_invweight0"):
+        # the muscles' damping belongs to the episode; invweights are interpolated on purpose
+        for name in ("dof_damping", "dof_armature", "body_invweight0", "dof_invweight0"):
             getattr(self.model, name)[:] = np.asarray(getattr(mine, name))
         self.data = mujoco.MjData(self.model)
         muscles = env.controller.muscles(episode.human)
@@ -162,12 +164,13 @@ class _Shadow:
             )
         )
 
-    def step(self, before: Any, ctrl: np.ndarray) -> Any:
+    def step(self, before: Any, action: np.ndarray) -> Any:
         """Five physics steps from MJX's state; returns the touch sums."""
-        d, index = self.data, self.index
+        d, index, motors = self.data, self.index, self.env.controller.motors
         for name in ("qpos", "qvel", "qacc_warmstart", "qfrc_bias"):
             getattr(d, name)[:] = np.asarray(getattr(before.data, name))
-        d.ctrl[:] = ctrl
+        goal = np.asarray(self.env.controller.targets(before.episode, before.data.qpos, action).goal)
+        d.M[motors.entries] = np.asarray(motors.inertia(before.data._impl.M))
         held = jnp.asarray(before.data.qpos)[index.human_qpos]
         target, _ = self.env.controller.human_target(before.episode, held, jnp.zeros(0))
         touch, contacts = no_contacts(index), 0
@@ -177,6 +180,7 @@ class _Shadow:
             d.qfrc_applied[index.human_dof] = self.torque(
                 target, *(jnp.asarray(x, jnp.float32) for x in (q, v, load))
             )
+            motors.prepare(self.model, d, goal)
             mujoco.mj_step(self.model, d)
             touch = add_contacts(index, touch, jnp.asarray(d.sensordata, jnp.float32))
             contacts = max(contacts, d.ncon)
@@ -196,11 +200,12 @@ def test_pressing_on_an_arm_is_c_mujocos(batch: CompiledBatch):
     for t in range(APPROACH + PRESS):
         before = state
         at = np.asarray(state.data.qpos)[:, index.robot_qpos]
-        state = batch.step(state, np.clip((goals - at) / scale, -1, 1).astype(np.float32))
+        action = np.clip((goals - at) / scale, -1, 1).astype(np.float32)
+        state = batch.step(state, action)
         if t < APPROACH:
             continue
         for i, shadow in shadows.items():
-            touch, contacts = shadow.step(one(before, i), np.asarray(state.data.ctrl[i]))
+            touch, contacts = shadow.step(one(before, i), action[i])
             assert contacts <= 8  # scene.MAX_CONTACTS: MJX would leave some out
             c, mine = shadow.data, one(state.data, i)
             assert np.abs(c.qvel).max() > 0

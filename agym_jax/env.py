@@ -6,7 +6,10 @@ those in ``sim.physics``; where JAX cannot trace it, the stages around it are co
 
 DEVIATION(action-penalty): actions are clipped to [-1, 1] before they are penalised (AG penalises the
 raw action).
-DEVIATION(quaternion-order): observed quaternions are wxyz; AG's are xyzw.
+DEVIATION(quaternion-order): observed quaternions are wxyz; AG's are xyzw. Their sign at the start is AG's (of 703
+recorded there none has the other), and then continuous; AG's jumps during an episode where w passes 1/2.
+DEVIATION(one-turn): joints that turn freely begin in [-pi, pi) and are observed without a jump from there; AG's inverse
+kinematics begins them up to two turns away.
 DEVIATION(one-key): everything random follows from the key (AG's sex and impairment ignore the seed).
 """
 
@@ -28,8 +31,9 @@ from agym_jax.data.banks import load_bank
 from agym_jax.errors import ActionError, SpecError, WrapperError
 from agym_jax.human.population import Population
 from agym_jax.jax_settings import full_precision
+from agym_jax.math3d import first_sign, nearest_sign
 from agym_jax.rendering.raycast import Marker
-from agym_jax.sense import Motion, Sensed
+from agym_jax.sense import Motion, Sensed, quats_of, with_quats
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import EpisodeSample, geom_sizes, make_episode, sample_episode
 from agym_jax.sim.physics import build_physics, check_traceable, choose_impl
@@ -212,7 +216,9 @@ class AssistiveEnv:
             done=done,
             metrics={**state.metrics, **after.metrics},
             task=after.task,
-            episode=dataclasses.replace(state.episode, human_target=targets.hold, step=after.step),
+            episode=dataclasses.replace(
+                state.episode, human_target=targets.hold, step=after.step, quats=after.quats
+            ),
         )
 
     def _evaluate_step(
@@ -227,6 +233,8 @@ class AssistiveEnv:
         """Sense -> task -> observe, and the guard against NaN."""
         # sense
         sensed = self._sense(data, contacts, motion, episode)
+        quats = nearest_sign(quats_of(sensed), episode.quats)
+        sensed = with_quats(sensed, quats)
         # task
         task, events = self.task.advance(task, sensed)
         rewards = self.task.rewards(task, events, sensed, targets.action)
@@ -247,6 +255,7 @@ class AssistiveEnv:
             done=((step >= self.episode_length) | bad).astype(jnp.float32),
             metrics=self._metrics(task, rewards, sensed, data, bad),
             step=step,
+            quats=jnp.where(bad, episode.quats, quats),
         )
         return strong(after)
 
@@ -266,12 +275,15 @@ class AssistiveEnv:
         xp = jnp if self.physics.traceable else np
         episode = strong(make_episode(self.scene, self.task.human, sample, xp))
         if where is not None and old is not None:
-            episode = select(where, episode, old.episode)
+            episode = select(where, episode, dataclasses.replace(old.episode, quats=None))
         data = self.physics.reset(data, episode, where)
-        task, obs, privileged_obs, success = self._init_task(key_task, data, episode)
+        task, obs, privileged_obs, quats, success = self._init_task(key_task, data, episode)
         if where is not None and old is not None:
-            fresh, kept = (task, obs, privileged_obs), (old.task, old.obs, old.privileged_obs)
-            task, obs, privileged_obs = select(where, fresh, kept)
+            fresh = (task, obs, privileged_obs, quats)
+            kept = (old.task, old.obs, old.privileged_obs, old.episode.quats)
+            task, obs, privileged_obs, quats = select(where, fresh, kept)
+        episode = dataclasses.replace(episode, quats=quats)
+        if old is not None:
             return old.replace(
                 data=data, obs=obs, privileged_obs=privileged_obs, task=task, episode=episode
             )
@@ -290,14 +302,16 @@ class AssistiveEnv:
 
     def _begin_task(
         self, key: Array, data: Any, episode: Episode
-    ) -> tuple[Any, Array, Array | None, Array]:
-        """The task as it begins, what is seen of it, and whether that is a success already."""
+    ) -> tuple[Any, Array, Array | None, Array, Array]:
+        """The task as it begins, what is seen of it, with which quaternions, and whether that is a success already."""
         index = self.scene.index
         motion = motion_at_rest(index, data, self.task.control.frame_skip)
         sensed = self._sense(data, no_contacts(index), motion, episode)
+        quats = first_sign(quats_of(sensed))
+        sensed = with_quats(sensed, quats)
         task = self.task.init(key, sensed)
         success = jnp.asarray(self.task.success(task)).astype(jnp.float32)
-        return strong((task, *self._observe(task, sensed), success))
+        return strong((task, *self._observe(task, sensed), quats, success))
 
     # -- what stages share ---------------------------------------------------------------------
 
@@ -396,6 +410,7 @@ class _Evaluated:
     done: Array  # ()
     metrics: dict[str, Array]  # each ()
     step: Array  # control steps done ()
+    quats: Array  # as observed (n, 4)
 
 
 def _introduce_to_brax() -> None:

@@ -44,6 +44,21 @@ def axis_angle_quat(axis: Array, angle: Array, xp: Any = jnp) -> Array:
     return xp.concatenate([xp.cos(half), xp.sin(half) * axis], -1)
 
 
+def first_sign(quat: Array) -> Array:
+    """Quaternions (..., 4) with the sign that Bullet's ``btMatrix3x3::getRotation`` gives them.
+
+    w is positive where the rotation matrix has a positive trace (w * w > 1 / 4); elsewhere the greatest of x, y, z is.
+    """
+    w, xyz = quat[..., :1], quat[..., 1:]
+    greatest = jnp.take_along_axis(xyz, jnp.argmax(xyz * xyz, -1, keepdims=True), -1)
+    return jnp.where(jnp.where(w * w > 0.25, w, greatest) < 0, -quat, quat)
+
+
+def nearest_sign(quat: Array, before: Array) -> Array:
+    """Quaternions (..., 4) with the sign that is nearer to those ``before`` (..., 4)."""
+    return jnp.where(jnp.sum(quat * before, -1, keepdims=True) < 0, -quat, quat)
+
+
 def rotate(quat: Array, vectors: Array, xp: Any = jnp) -> Array:
     """Vectors (..., 3) rotated by unit quaternions (..., 4)."""
     return _rotate(quat[..., :1], quat[..., 1:], vectors, xp)

@@ -6,7 +6,7 @@ averaged over the physics steps of a control step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -84,3 +84,15 @@ class Sensed:
         zero = jnp.zeros_like(self.dims.mouth_y)
         local = jnp.stack([zero, self.dims.mouth_y, self.dims.mouth_z])
         return self.link_pos_w["head"] + self.link_rot_w["head"] @ local
+
+
+def quats_of(sensed: Sensed) -> Array:
+    """The quaternions that a task may observe, of tools and links, in order (n, 4)."""
+    return jnp.stack([*(t.quat_w for t in sensed.tools), *sensed.link_quat_w.values()])
+
+
+def with_quats(sensed: Sensed, quats: Array) -> Sensed:
+    """The same with other quaternions, in the order of ``quats_of`` (n, 4)."""
+    tools = tuple(replace(t, quat_w=quats[i]) for i, t in enumerate(sensed.tools))
+    links = dict(zip(sensed.link_quat_w, quats[len(tools) :], strict=True))
+    return replace(sensed, tools=tools, link_quat_w=links)

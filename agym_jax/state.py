@@ -39,6 +39,7 @@ class Episode:
     human_angles: jax.Array  # start angles of the moving joints [rad]        (n_person,)
     human_target: jax.Array  # what the muscles hold, without tremor [rad]    (n_person,)
     step: jax.Array  # control steps done, int32                               ()
+    quats: Any = None  # as last observed, wxyz, see ``sense.quats_of``          (n, 4)
 
 
 @jax.tree_util.register_dataclass

@@ -233,16 +233,16 @@ def test_hinges_axes_and_limits_are_the_urdfs(name: str):
         assert model.body(j.bodyid[0]).name == row["child"]
         np.testing.assert_allclose(j.axis, row["axis"], atol=1e-9, err_msg=joint)
         np.testing.assert_allclose(j.range, (row["lower"], row["upper"]), atol=1e-6, err_msg=joint)
-        # torque limits and damping are left to the scene
+        # torque limits are left to the scene
         assert model.jnt_limited[j.id] and not model.jnt_actfrclimited[j.id]
-        assert model.dof_damping[j.dofadr[0]] == 0
+        assert model.dof_damping[j.dofadr[0]] == row.get("damping", 0.0), joint
     for side in ROBOTS[name].arms:
         assert list(ROBOTS[name].arm(side).joints) == ARM_JOINTS[name](side)
         assert set(ROBOTS[name].arm(side).gripper) == set(FINGERS[name](side))
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_moving_links_have_the_urdfs_inertia(name: str):
+def test_moving_links_have_the_inertia_that_bullet_simulates(name: str):
     """Bodies that move as one, together: mass, centre of mass and inertia about it."""
     model, data = load(name), posed(load(name), {})
     total = {"PR2": 268.7, "Jaco": 6.56 - 1.001, "Baxter": 137.3, "Sawyer": 81.8}  # section 2

@@ -13,11 +13,14 @@ import pytest
 from brax import envs as brax_envs
 from brax.envs.wrappers import training as brax_wrappers
 from compiled import BATCH, STATIC, CompiledBatch, Rollout, roll
-from products import full
+from products import full, full_in
+from traced import Traced, traced
 
 import agym_jax
 from agym_jax import observe
+from agym_jax.env import METRICS
 from agym_jax.errors import ActionError, ImplementationError
+from agym_jax.jax_settings import full_precision
 from agym_jax.sim.physics import choose_impl
 from agym_jax.wrappers import vectorize
 
@@ -45,25 +48,21 @@ def _avals(tree: Any) -> list:
 
 
 # every task with a still and an active person, every robot; the rest of the product is data
-TRACED = (STATIC, "BedBathingBaxter-v0", "ArmManipulationSawyerHuman-v0")
+TRACED = (STATIC, "DrinkingSawyer-v0", "ArmManipulationSawyerHuman-v0")
 TRACED_SLOWLY = (
-    "ScratchItchPR2Human-v0", "BedBathingJacoHuman-v0", "ArmManipulationPR2-v0", "ReachingSawyer-v0",
+    "ScratchItchPR2Human-v0", "BedBathingJacoHuman-v0", "BedBathingBaxter-v0", "ArmManipulationPR2-v0", "ReachingSawyer-v0",
     "ReachingBaxterHuman-v0",
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "name", [*TRACED, *(pytest.param(x, marks=pytest.mark.slow) for x in TRACED_SLOWLY)]
-)
-def test_step_returns_exactly_what_reset_returns(name: str, batch: CompiledBatch):
-    if name == STATIC:  # traced for the tests below anyway
-        env, reset, step = batch.env, batch.reset, batch.step
-    else:
-        env = vectorize(agym_jax.make(name, impl="jax"), BATCH)
-        reset, step = env.reset, env.step
-    first = jax.eval_shape(reset, jax.random.PRNGKey(0))
-    action = jax.ShapeDtypeStruct((BATCH, env.action_size), jnp.float32)
-    second = jax.eval_shape(step, first, action)
+@pytest.fixture(params=[*TRACED, *(pytest.param(x, marks=pytest.mark.slow) for x in TRACED_SLOWLY)])
+def programs(request: pytest.FixtureRequest) -> Traced:
+    """Reset and step of one of them; the first is compiled for the tests below."""
+    return traced(request.param)
+
+
+def test_step_returns_exactly_what_reset_returns(programs: Traced):
+    env, first, second = programs.batch.env, programs.reset.out_info, programs.step.out_info
     assert jax.tree.structure(first) == jax.tree.structure(second)
     assert _avals(first) == _avals(second)
     assert not [path for path, *_, weak in _avals(first) if weak]
@@ -110,6 +109,40 @@ def test_unknown_implementation_is_refused():
     with pytest.raises(ImplementationError, match=r"'warps'.*Did you mean 'warp'"):
         agym_jax.make(STATIC, impl="warps")
     assert choose_impl("jax") == "jax"
+
+
+def test_products_are_never_rounded_to_tf32(programs: Traced):
+    for program in (programs.reset, programs.step):
+        found = full_in(program.jaxpr)
+        assert len(found) > 10
+        assert all(found)
+
+
+def test_an_unguarded_product_would_be_found():
+    matrix = jnp.ones((3, 3))
+    assert full(full_precision(jax.jit(jnp.dot)), matrix, matrix) == [True]
+    assert full(jax.jit(jnp.dot), matrix, matrix) == [False]
+    assert full_in(jax.make_jaxpr(jnp.dot)(matrix, matrix)) == [False]
+
+
+def test_reset_and_step_trace_no_more_than_they_need(programs: Traced):
+    batch = programs.batch
+    reset, step = batch.calls["reset"], batch.calls["step"]
+    assert batch.traces == {"reset": 1, "step": 1}
+    # a new episode: no reward, no physics, the kinematics of its start alone
+    assert (reset["advance"], reset["rewards"], reset["step"], reset["forward"]) == (0, 0, 0, 0)
+    assert (reset["kinematics"], reset["init"], reset["observe"]) == (1, 1, 1)
+    # a step: each part once, and those of a new episode once more for the environments that begin one
+    assert (step["advance"], step["rewards"], step["step"], step["forward"]) == (1, 1, 1, 0)
+    assert (step["kinematics"], step["init"], step["observe"]) == (2, 1, 2)
+    assert step["make_data"] == 0
+
+
+def test_names_of_metrics_are_data(programs: Traced):
+    env = programs.batch.env
+    names = (*(f"reward/{x}" for x in env.task.reward_terms), *METRICS)
+    assert env.metric_names == names
+    assert set(programs.reset.out_info.metrics) == set(programs.step.out_info.metrics) == set(names)
 
 
 # -- compiled ----------------------------------------------------------------------------------
@@ -342,16 +375,3 @@ def test_stagger_spreads_the_clocks(batch: CompiledBatch, rollout: Rollout):
     assert steps.dtype == np.int32 and (steps >= 0).all() and (steps < 200).all()
     assert len(set(steps)) >= BATCH - 1
     assert jax.tree.structure(state) == jax.tree.structure(rollout.first)
-
-
-@pytest.mark.parametrize("name", ["ScratchItchJaco-v0", "DrinkingSawyer-v0"])
-def test_products_are_never_rounded_to_tf32(name: str):
-    env = agym_jax.make(name, impl="jax")
-    key, action = jax.random.PRNGKey(0), jnp.zeros(env.action_size)
-    state = jax.eval_shape(env.reset, key)
-
-    for found in (full(env.reset, key), full(env.step, state, action)):
-        assert len(found) > 10
-        assert all(found)
-    unguarded = type(env).step.__wrapped__  # ty: ignore
-    assert not all(full(lambda *x: unguarded(env, *x), state, action))

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import cache
 from typing import Any, NamedTuple
+from unittest import mock
 
 import jax
 import mujoco
@@ -15,16 +20,22 @@ from agym_jax.state import Episode
 from agym_jax.wrappers import VectorEnv, vectorize
 
 BATCH = 8
+TASK_METHODS = ("init", "advance", "rewards", "observe", "success")
+MJX_FUNCTIONS = ("step", "forward", "kinematics", "make_data")
 STATIC, ACTIVE = "ScratchItchJaco-v0", "ScratchItchJacoHuman-v0"
 
 
 class CompiledBatch(NamedTuple):
-    """A batch of environments, its compiled functions, and how often Python has run each."""
+    """A batch of environments, its compiled functions, and how often Python has run each.
+
+    ``calls`` counts, for each function, the calls of the task's methods and of MJX while JAX traced it.
+    """
 
     env: VectorEnv
     reset: Any
     step: Any
     traces: dict[str, int]
+    calls: dict[str, Counter[str]]
 
 
 class Rollout(NamedTuple):
@@ -38,20 +49,44 @@ class Rollout(NamedTuple):
     metrics: dict[str, np.ndarray]  # (T, B)
 
 
+@contextmanager
+def counted(env: Any, calls: Counter[str]) -> Iterator[None]:
+    """Count the calls of a task's methods and of MJX's functions by an environment."""
+    from agym_jax.sim.mjx import mjx  # takes a second that other tests need not wait
+
+    with ExitStack() as stack:
+        for owner, names in ((type(env.task), TASK_METHODS), (mjx, MJX_FUNCTIONS)):
+            for name in names:
+                original = getattr(owner, name)
+
+                def count(
+                    *words: Any, _name: str = name, _original: Any = original, **more: Any
+                ) -> Any:
+                    calls[_name] += 1
+                    return _original(*words, **more)
+
+                stack.enter_context(mock.patch.object(owner, name, count))
+        yield
+
+
+@cache
 def compile_batch(name: str) -> CompiledBatch:
     """``BATCH`` environments on MJX; compiled when they are first called."""
     env = vectorize(agym_jax.make(name, impl="jax"), BATCH)
     traces = {"reset": 0, "step": 0}
+    calls: dict[str, Counter[str]] = {"reset": Counter(), "step": Counter()}
 
     def reset(key: jax.Array) -> Any:
         traces["reset"] += 1  # a Python side effect happens when JAX traces, and only then
-        return env.reset(key)
+        with counted(env, calls["reset"]):
+            return env.reset(key)
 
     def step(state: Any, action: jax.Array) -> Any:
         traces["step"] += 1
-        return env.step(state, action)
+        with counted(env, calls["step"]):
+            return env.step(state, action)
 
-    return CompiledBatch(env, jax.jit(reset), jax.jit(step), traces)
+    return CompiledBatch(env, jax.jit(reset), jax.jit(step), traces, calls)
 
 
 def roll(batch: CompiledBatch, seed: int, actions: np.ndarray) -> Rollout:

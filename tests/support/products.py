@@ -20,7 +20,11 @@ def _products(jaxpr) -> list:
 
 def full(function: Callable, *arguments) -> list[bool]:
     """For every product that a function makes, whether it is never rounded, whatever the caller has set."""
-    highest = (jax.lax.Precision.HIGHEST,) * 2
     with jax.default_matmul_precision("tensorfloat32"):
-        program = jax.make_jaxpr(function)(*arguments)
+        return full_in(jax.make_jaxpr(function)(*arguments))
+
+
+def full_in(program: jax.core.ClosedJaxpr) -> list[bool]:
+    """For every product of a traced program, whether its own code asks for full precision."""
+    highest = (jax.lax.Precision.HIGHEST,) * 2
     return [product.params["precision"] == highest for product in _products(program.jaxpr)]

@@ -19,20 +19,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from agym_jax.data.banks import Placement
 from agym_jax.errors import SpecError
-from agym_jax.human import body, population
-from agym_jax.human import pose as human_pose
 from agym_jax.math3d import axis_angle_quat, rotation_matrix
 from agym_jax.offline import bullet_ik, kinematics
 from agym_jax.offline.clearance import Clearance
+from agym_jax.offline.start_goals import draw_goals, goals_of, start_quat
 from agym_jax.sim.scene import build_scene
-from agym_jax.spec import Quat, RobotSpec, Task
+from agym_jax.spec import Arm, Pose, Quat, RobotSpec, Task
 
 REACHED, REACHED_QUAT = 0.03, 0.03
 """A pose is reached within this distance [m], and this length of the difference of the quaternions."""
@@ -46,21 +44,10 @@ CLEARANCE = 0.005
 """Least distance [m] of robot and tool from person, furniture and the rest of the robot at the start."""
 YAW = np.deg2rad(30.0)
 """Range of the base's yaw on either side of that of its area [rad]."""
-_H = float(np.sqrt(0.5))
 HALF_TURN = {("Feeding", "Jaco"): -1.0}
 """Pairs whose arm at 0 is exactly half a turn away and goes backwards, as their 40 recorded starts show."""
 FIXED_REACHED = {"Feeding": 0.01, "Drinking": 0.01, "Reaching": 0.01}
 """Thresholds of robots with a fixed base, else ``REACHED``."""
-
-
-@dataclass(frozen=True)
-class Goal:
-    """A pose that the hand has to be able to reach, besides the start."""
-
-    name: str  # a link of the person, or "mouth"
-    quat: Quat | None = None  # wxyz; None leaves the orientation free
-    above: float = 0.0  # the link [m]
-    must: bool = False  # a base that does not reach it is discarded
 
 
 @dataclass(frozen=True)
@@ -103,10 +90,11 @@ def search(
         SpecError: robot and task do not fit together, a goal is out of reach of all bases, or no start
             pose is both reached and free of contacts.
     """
-    reach = _Reach(task, robot, np.random.default_rng(seed))
-    starts, points = _draw(task, robot, reach, size, seed)
-    if robot.fixed_base(task):
-        found = reach.from_fixed_base(starts)
+    reach = Reach(task, robot, np.random.default_rng(seed))
+    starts, points = draw_goals(task, robot, reach.goals, size, seed, reach.rng)
+    fixed = robot.fixed_base(task)
+    if fixed:
+        found = reach.from_fixed_base(fixed, starts)
     else:
         found = reach.from_best_base(starts, points, attempts)
     _check_goals(task, robot, reach)
@@ -128,7 +116,7 @@ class _Found:
     ok: np.ndarray  # whether there is one (R,) bool
 
 
-class _Reach:
+class Reach:
     """Inverse kinematics of a pair's arms, and what was reached so far."""
 
     def __init__(self, task: Task, robot: RobotSpec, rng: np.random.Generator):
@@ -156,7 +144,17 @@ class _Reach:
 
     # -- one goal ------------------------------------------------------------------------------
 
-    def solve(self, arm, start, pos, quat, base_pos, base_quat, iterations, reached=REACHED):
+    def solve(
+        self,
+        arm: int,
+        start: np.ndarray,
+        pos: np.ndarray,
+        quat: Quat | None,
+        base_pos: np.ndarray,
+        base_quat: np.ndarray,
+        iterations: int,
+        reached: float = REACHED,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """One solution for each of N poses, from a random rest pose.
 
         Args:
@@ -170,7 +168,7 @@ class _Reach:
             reached: least distance [m] that does not count as reached.
 
         Returns:
-            angles within the limits [rad] (N, n), distance [m] (N,), whether it is reached (N,), isotropy (N,).
+            angles within the limits [rad] (N, n), whether the pose is reached (N,), isotropy (N,).
         """
         limits, solver = self.limits[arm], self.solvers[arm]
         rest = self.rng.uniform(limits.lower, limits.upper, (len(pos), solver.n))
@@ -190,23 +188,23 @@ class _Reach:
             # AG v0.1 util.py: np.isclose(apart, 2, atol=threshold)
             good &= (apart < REACHED_QUAT) | (np.abs(apart - 2) <= TURNED_QUAT + 2e-5)
         score = bullet_ik.isotropy(jacobian, raw.T, limits, self.endless[arm])
-        return q, distance, good, score
+        return q, good, score
 
     # -- a row ---------------------------------------------------------------------------------
 
-    def from_fixed_base(self, starts: np.ndarray) -> _Found:
+    def from_fixed_base(self, fixed: Pose, starts: np.ndarray) -> _Found:
         """The first solution that fits, each try beginning where the one before ended.
 
         Args:
+            fixed: where the base stands, in the world.
             starts: of the hand, world [m] (R, n_arms, 3).
         """
-        fixed = self.robot.fixed_base(self.task)
         rows, reached = len(starts), FIXED_REACHED.get(self.task.name, REACHED)
         pos, quat = (np.tile(np.array(x, float), (rows, 1)) for x in (fixed.pos, fixed.quat))
         angles = np.tile(np.concatenate(self.rest), (rows, 1))
         ok, left = np.zeros(rows, bool), np.arange(rows)
         for _ in range(FIXED_RESTARTS):
-            q, _, good, _ = self.solve(
+            q, good, _ = self.solve(
                 0, angles[left], starts[left, 0], self.quats[0], pos[left], quat[left],
                 FIXED_ITERATIONS, reached,
             )  # fmt: skip
@@ -219,7 +217,7 @@ class _Reach:
         self.reached = int(ok.sum())
         return _Found(pos, quat, angles, ok)
 
-    def from_best_base(self, starts: np.ndarray, points: list, attempts: int) -> _Found:
+    def from_best_base(self, starts: np.ndarray, points: list[np.ndarray], attempts: int) -> _Found:
         """The best of ``attempts`` bases for each row; more where none of them has a start.
 
         Args:
@@ -254,16 +252,25 @@ class _Reach:
                 break
         return out
 
-    def _try(self, starts, points, who, pos, quat):
+    def _try(
+        self,
+        starts: np.ndarray,
+        points: list[np.ndarray],
+        who: np.ndarray,
+        pos: np.ndarray,
+        quat: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Angles at the start (N, n), poses reached (N,), 0 for discarded bases, and the sum of isotropies (N,)."""
         angles, count, score = [], np.zeros(len(who)), np.zeros(len(who))
         alive = np.ones(len(who), bool)
         self.tried += len(who)
 
-        def reach(arm, wanted, turn):
+        def reach(
+            arm: int, wanted: np.ndarray, turn: Quat | None
+        ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             at = np.flatnonzero(alive)
             begin = np.tile(self.rest[arm], (len(at), 1))
-            q, _, good, value = self.solve(
+            q, good, value = self.solve(
                 arm, begin, wanted[who[at]], turn, pos[at], quat[at], ITERATIONS
             )
             count[at] += good
@@ -303,48 +310,12 @@ class _Reach:
         return placed - rotation_matrix(quat, np) @ np.array(area.pivot), quat
 
 
-def goals_of(task: Task, robot: RobotSpec, n_arms: int) -> list[list[Goal]]:
-    """What each arm of a pair has to reach besides its start, as AG's task has it.
-
-    A single arm has to reach all of a task's goals. Where AG asks for more than a position (tasks.md sections 4 to 6):
-    """
-    turned = robot.start_rotations.get(task.name)
-    if task.name in ("Feeding", "Drinking", "Reaching") and turned:
-        must = (
-            [] if (task.name, robot.name) == ("Feeding", "Baxter") else [Goal("mouth", must=True)]
-        )
-        again = Goal("mouth", turned if task.name != "Reaching" else None)
-        return [[*must, again]]
-    if task.name == "Dressing" and turned:
-        # Euler (0, 0, 3 pi / 2); (pi / 2, -pi / 2, 0)
-        across = (-_H, 0.0, 0.0, _H) if robot.name == "PR2" else (0.5, 0.5, -0.5, 0.5)
-        quats = (across, turned, turned)
-        return [[Goal(n, q, 0.1) for n, q in zip(task.goals[0], quats, strict=True)]]
-    if n_arms == len(task.goals):
-        return [[Goal(n) for n in names] for names in task.goals]
-    return [[Goal(n) for names in task.goals for n in names]]
-
-
-def start_quat(task: Task, robot: RobotSpec, arm: int, scene: Any) -> Quat:
-    """Orientation of a hand's end-effector site at the start, world, wxyz.
-
-    By default the hand points along +x, at the person, and its fingers open sideways.
-    """
-    if task.name in robot.start_rotations:
-        return robot.start_rotations[task.name]
-    model, spec = scene.model, scene.arms[arm]
-    rot = lambda name: rotation_matrix(model.site(f"robot/{name}").quat, np)  # noqa: E731
-    tool_in_hand = rot(spec.end_effector).T @ rot(spec.tool_frame)
-    forwards = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    return tuple(bullet_ik.bullet_quat((forwards @ tool_in_hand.T)[:, :, None])[:, 0].tolist())
-
-
-def _posture(robot: RobotSpec, arm: Any) -> np.ndarray:
+def _posture(robot: RobotSpec, arm: Arm) -> np.ndarray:
     """Angles that the arm has before each solution is looked for [rad] (n,)."""
     return np.array([robot.rest.get(j, 0.0) for j in arm.joints])
 
 
-def _chains(scene) -> list[kinematics.Chain]:
+def _chains(scene: Any) -> list[kinematics.Chain]:
     model, index = scene.model, scene.index
     chains = []
     for tool, arm in zip(index.tools, scene.arms, strict=True):
@@ -353,61 +324,7 @@ def _chains(scene) -> list[kinematics.Chain]:
     return chains
 
 
-def _draw(task: Task, robot: RobotSpec, reach: _Reach, rows: int, seed: int):
-    """Start positions of the hands (R, n_arms, 3), and goals of each arm (R, n_goals, 3), world [m]."""
-    n_arms = len(reach.chains)
-    keys = jax.random.split(jax.random.PRNGKey(seed), rows)
-    start = np.asarray(jax.vmap(lambda k: task.start(k, robot.name))(keys))
-    if start.ndim != 3 or start.shape[1] < n_arms or start.shape[2] != 3:
-        raise SpecError(
-            f"{task.name}.start must give one row [m] for each arm, of shape ({n_arms}, 3); with "
-            f"{robot.name} it gives {start.shape[1:]}."
-        )
-    humans = _points(task, [x for names in task.goals for x in names], 64, seed)
-    who = reach.rng.integers(0, 64, rows)
-    points = [
-        np.stack([humans[g.name][who] + (0.0, 0.0, g.above) for g in goals], axis=1)
-        if goals
-        else np.zeros((rows, 0, 3))
-        for goals in reach.goals
-    ]
-    return start[:, :n_arms].astype(float), points
-
-
-def _points(task: Task, names: list[str], count: int, seed: int) -> dict[str, np.ndarray]:
-    """Positions of named points of sampled people, world [m] name -> (count, 3)."""
-    spec = task.human
-
-    def one(key: jax.Array) -> tuple[population.Human, human_pose.BodyPose]:
-        key_human, key_pose = jax.random.split(key)
-        human = population.sample_human(
-            key_human,
-            population.Population(),
-            len(spec.joints),
-            spec.tremor_amplitude,
-            spec.impairments,
-        )
-        return human, human_pose.sample_pose(key_pose, spec, human)
-
-    keys = jax.random.split(jax.random.PRNGKey(seed), count)
-    drawn = jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(keys))
-    order = [link.name for link in body.LINKS]
-    found: dict[str, list] = {name: [] for name in names}
-    for i in range(count):
-        human, pose = jax.tree.map(lambda x: x[i], drawn)  # noqa: B023
-        # no joint is free here, so every link has a pose in the world
-        rows = human_pose.rows(spec, pose, human.dims, (), human.limit_scale, np)
-        for name in found:
-            row = order.index("head" if name == "mouth" else name)
-            point = np.array(rows.body_pos[row])
-            if name == "mouth":
-                local = np.array([0.0, human.dims.mouth_y, human.dims.mouth_z])
-                point = point + rotation_matrix(rows.body_quat[row], np) @ local
-            found[name].append(point)
-    return {name: np.array(rows) for name, rows in found.items()}
-
-
-def _check_goals(task: Task, robot: RobotSpec, reach: _Reach) -> None:
+def _check_goals(task: Task, robot: RobotSpec, reach: Reach) -> None:
     """Raise SpecError if a goal is out of reach of every base."""
     if not reach.reached:
         return

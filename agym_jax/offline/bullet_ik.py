@@ -124,7 +124,15 @@ class Solver:
             out[rows] = self._solve(start[rows].T, rest[rows].T, pos[rows].T, wanted, iterations).T
         return out
 
-    def _solve(self, start, rest, pos, rot, iterations):
+    def _solve(
+        self,
+        start: np.ndarray,
+        rest: np.ndarray,
+        pos: np.ndarray,
+        rot: np.ndarray | None,
+        iterations: int,
+    ) -> np.ndarray:
+        """The same with the batch last; wanted rotations as quaternions (4, B)."""
         q, left = start.copy(), np.arange(start.shape[1])
         for _ in range(iterations):
             now = q[:, left]

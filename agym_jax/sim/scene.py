@@ -28,6 +28,8 @@ from agym_jax.human import pose as human_pose
 from agym_jax.human.model import build as build_human
 from agym_jax.rendering.meshes import VISUALS, add_meshes
 from agym_jax.sim.contacts import (
+    SOLIMP,
+    SOLREF,
     contact_pairs,
     is_sensed,
     pair_friction,
@@ -42,9 +44,6 @@ from agym_jax.spec import Arm, Pose, RobotSpec, Surface, Task, ToolSpec, Vec3
 
 MAX_CONTACTS = 8
 """Contacts that MJX-JAX keeps per environment, the deepest first (Warp keeps all)."""
-SKIN_SOLREF = (0.04, 1.0)
-SKIN_SOLIMP = (0.7, 0.95, 0.01, 0.5, 2.0)
-"""Soft skin: the constraint's time constant is two physics steps, the shortest that is stable."""
 SURFACE_RADIUS = 0.002  # half thickness of what is drawn [m]
 
 
@@ -267,7 +266,12 @@ def _weld(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:
 
 
 def _hold(spec: mujoco.MjSpec, arm: Arm, robot: RobotSpec, tool: ToolSpec, prefix: str) -> None:
-    """Attach a tool rigidly to a hand."""
+    """Attach a tool rigidly to a hand.
+
+    DEVIATION(rigid-grip): AG holds a tool by a constraint that yields: while the scratcher presses, its tip gives way by
+    5 mm (95 %: 10 mm), the spoon's by 2 mm. When it slides off the arm differs: forces of presses at 0.3 and 1 of the
+    full action are 3.0 and 1.6 N in the last second (AG: 4.5 and 2.2), slow ones agree within 2 %.
+    """
     grasp = robot.grasps.get(tool.name, tool.grasp)
     site = spec.site(f"robot/{arm.tool_frame}")
     pos, quat = np.zeros(3), np.zeros(4)
@@ -292,7 +296,7 @@ def _add_contacts(
             spec.add_pair(
                 name=f"{a}|{b}", geomname1=a, geomname2=b, condim=6 if roll else 3,
                 friction=[friction, friction, *([roll] * 3 if roll else (0.005, 0.0001, 0.0001))],
-                solref=SKIN_SOLREF, solimp=SKIN_SOLIMP,
+                solref=SOLREF, solimp=SOLIMP,
             )  # fmt: skip
             if is_sensed(kind):
                 spec.add_sensor(

@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 from agym_jax.robots import ROBOTS
-from agym_jax.sim.contacts import contact_pairs
-from agym_jax.sim.scene import SKIN_SOLIMP, SKIN_SOLREF, build_scene
+from agym_jax.sim.contacts import SOLIMP, SOLREF, contact_pairs
+from agym_jax.sim.scene import build_scene
 from agym_jax.tasks import TASKS
 from benchmarks.parity.row import Row, traces
 
@@ -63,7 +63,7 @@ def sliding(friction: float) -> np.ndarray:
     ball.add_geom(name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0.0, 0.0], mass=1.0)
     spec.add_pair(
         name="contact", geomname1="plane", geomname2="ball", condim=3,
-        friction=[friction, friction, 0.005, 1e-4, 1e-4], solref=SKIN_SOLREF, solimp=SKIN_SOLIMP,
+        friction=[friction, friction, 0.005, 1e-4, 1e-4], solref=SOLREF, solimp=SOLIMP,
     )  # fmt: skip
     model = spec.compile()
     data, wrench, ratios = mujoco.MjData(model), np.zeros(6), []

@@ -17,7 +17,7 @@ import numpy as np
 from agym_jax.data.assets import asset_path
 from agym_jax.human.anthropometry import dims
 from agym_jax.human.body import shape
-from agym_jax.sim.scene import SKIN_SOLIMP, SKIN_SOLREF
+from agym_jax.sim.contacts import SOLIMP, SOLREF
 from agym_jax.tasks.bed_bathing import BED_BATHING, WIPER
 from benchmarks.parity.row import Row, traces
 
@@ -83,7 +83,7 @@ def pressing_model(sex: str, link: int, limb: np.ndarray) -> mujoco.MjModel:
     for name in WIPER.geoms:
         spec.add_pair(
             name=name, geomname1=f"tool/{name}", geomname2="limb", condim=3,
-            friction=[mu, mu, 0.005, 1e-4, 1e-4], solref=SKIN_SOLREF, solimp=SKIN_SOLIMP,
+            friction=[mu, mu, 0.005, 1e-4, 1e-4], solref=SOLREF, solimp=SOLIMP,
         )  # fmt: skip
     return spec.compile()
 

@@ -21,6 +21,7 @@ from agym_jax import observe
 from agym_jax.env import METRICS
 from agym_jax.errors import ActionError, ImplementationError
 from agym_jax.jax_settings import full_precision
+from agym_jax.math3d import first_sign
 from agym_jax.sim.physics import choose_impl
 from agym_jax.wrappers import vectorize
 
@@ -217,6 +218,23 @@ def test_observed_differences_fit_together(batch: CompiledBatch, rollout: Rollou
     np.testing.assert_allclose(
         part["arm_angles"][0], rollout.first.episode.placement.arm_angles, atol=1e-6
     )
+
+
+@jit
+def test_quaternions_begin_with_bullets_sign_and_keep_it(batch: CompiledBatch, rollout: Rollout):
+    quat = rollout.obs[..., observe.layout(batch.env.task.robot_obs)["tool_quat_w"]]
+    np.testing.assert_allclose(quat[0], first_sign(quat[0]), atol=0)
+    assert ((quat[1:] * quat[:-1]).sum(-1) > 0.9).all()
+    last = np.asarray(rollout.last.episode.quats)[:, 0]
+    np.testing.assert_array_equal(last, quat[-1])
+    # a turned state goes on turned; a new episode does not
+    over = np.arange(BATCH) % 2 == 0
+    state = _set(rollout.last, "episode", step=np.where(over, 199, 50))
+    state = _set(state, "episode", quats=-np.asarray(rollout.last.episode.quats))
+    after = batch.step(state, rollout.actions[0])
+    seen = np.asarray(after.obs)[:, observe.layout(batch.env.task.robot_obs)["tool_quat_w"]]
+    assert ((seen * last).sum(-1)[~over] < -0.9).all()
+    np.testing.assert_array_equal(seen[over], first_sign(seen[over]))
 
 
 @jit

@@ -15,6 +15,8 @@ from agym_jax.math3d import (
     capsule_gap,
     child_pose,
     child_quat,
+    first_sign,
+    nearest_sign,
     quat_mul,
     rotate,
     rotate_inverse,
@@ -209,3 +211,28 @@ def test_capsule_gap_of_an_empty_set_is_infinite():
     none = (jnp.zeros((0, 3)), jnp.zeros((0, 3)), jnp.zeros(0))
     one = (jnp.zeros((1, 3)), jnp.zeros((1, 3)), jnp.ones(1))
     assert capsule_gap(none, one) == capsule_gap(one, none) == jnp.inf
+
+
+def test_first_sign_is_that_of_bullets_matrix_to_quaternion():
+    """btMatrix3x3::getRotation: w from a positive trace, else the part of the greatest diagonal entry."""
+    quats = np.random.default_rng(5).normal(size=(400, 4)).astype(np.float32)
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    found = np.asarray(first_sign(quats))
+    np.testing.assert_array_equal(found, first_sign(-quats))
+    np.testing.assert_array_equal(np.abs(found), np.abs(quats))
+    rots = rotation_matrix(quats, np)
+    positive = np.trace(rots, axis1=1, axis2=2) > 0
+    assert 50 < positive.sum() < 350 and (found[positive, 0] > 0).all()
+    part = 1 + np.argmax(np.diagonal(rots, axis1=1, axis2=2), axis=1)
+    assert (found[np.arange(400), part][~positive] > 0).all()
+
+
+def test_nearest_sign_follows_a_rotation_through_every_angle():
+    angle = np.linspace(0.0, 4 * np.pi, 200)
+    turning = axis_angle_quat(np.array([0.0, 0.6, 0.8]), angle, np).astype(np.float32)
+    before = turning[0]
+    for quat in np.asarray(first_sign(turning)):  # which jumps
+        now = np.asarray(nearest_sign(quat, before))
+        assert np.abs(now - before).max() < 0.04
+        before = now
+    np.testing.assert_allclose(before, turning[-1], atol=1e-5)

@@ -1,7 +1,7 @@
 """Serial chains in JAX: forward kinematics, Jacobian and batched inverse kinematics.
 
-Written for one chain and one pose; use ``jax.vmap`` over targets, restarts or bases. Used to build placement banks,
-as a reference in tests, and for scripted motions.
+Written for one chain and one pose; use ``jax.vmap`` over targets, restarts or bases. Used as a reference in tests and
+for scripted motions; placement banks are built with ``bullet_ik``, which reads the same chains.
 """
 
 from __future__ import annotations
@@ -152,18 +152,3 @@ def inverse(
     angles, _ = jax.lax.scan(step, start, length=steps)
     e, _ = error(angles)
     return angles, jnp.linalg.norm(e[:3]), jnp.linalg.norm(e[3:])
-
-
-def isotropy(chain: Chain, angles: Array) -> Array:
-    """Joint-limit-weighted kinematic isotropy, 0 (singular or at a limit) to 1 ().
-
-    AG v0.1 ``util.py`` / ``env.py`` joint_limited_weighting (reference robots.md section 7).
-    """
-    _, _, jacobian = forward(chain, angles)
-    reach = jnp.minimum((chain.upper - chain.lower) / 2, jnp.pi)
-    middle = (chain.upper + chain.lower) / 2
-    room = reach - jnp.minimum(jnp.abs(angles - middle), reach)
-    weight = jnp.maximum(0.001, 1.0 - 0.5 ** (room / (0.05 * reach) + 1.0))
-    jwj = (jacobian * weight) @ jacobian.T
-    determinant = jnp.maximum(jnp.linalg.det(jwj), 0.0)
-    return determinant ** (1 / 6) / (jnp.trace(jwj) / 6)

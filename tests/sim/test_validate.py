@@ -162,7 +162,7 @@ def test_a_start_of_another_shape_is_told():
             return jnp.zeros(3)
 
     with pytest.raises(SpecError, match=r"\.start must give one row.*shape \(1, 3\).*gives \(3,\)"):
-        search(Flat(), JACO, size=2, restarts=1)
+        search(Flat(), JACO, size=2)
 
 
 # -- the robot ---------------------------------------------------------------------------------

@@ -2,14 +2,15 @@
 
 The banks of start placements against resets recorded in Assistive Gym, for every pair of which there are any (v0.1
 has no Reaching). Recorded rest poses, put into our inverse kinematics, must give the recorded joint angles. Few resets were
-recorded (n in brackets), so means and spreads may differ by three standard errors of n resets (at least 1 cm or 0.02 rad);
-angles are compared on the circle, by Kuiper's distance of the joint that differs most, against the value that one in a
-thousand samples of n exceeds; and families of solutions (angles within 1.2 rad of each other) by the share of resets that
-is in another family than here, against the share in 99.9 % of samples of n rows of the bank.
+recorded (n in brackets), so the tolerance is what 99.9 % of samples of n rows of the bank stay below (for means and spreads at
+least 1 cm or 0.02 rad). Angles are compared on the circle, by Kuiper's distance of the joint that differs most; families
+of solutions (angles within 1.2 rad of each other) by the share of resets that is in another family than here, of which one
+may always be.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -23,8 +24,7 @@ from benchmarks.parity.row import Row, traces
 TASKS = ("ScratchItch", "BedBathing", "Feeding", "Drinking", "Dressing", "ArmManipulation")
 ROBOTS = ("Jaco", "Sawyer", "PR2", "Baxter")
 REPLAYED = ("ScratchItch", "Feeding", "Drinking", "Dressing")
-ERRORS = 3.0
-"""Standard errors by which means and spreads may differ."""
+SAMPLES = 2000
 KUIPER = 2.303
 """Of Kuiper's statistic, times the root of the number of samples: exceeded by one in a thousand."""
 FAMILY = 1.2
@@ -62,6 +62,20 @@ def shares(angles: np.ndarray, middles: np.ndarray) -> np.ndarray:
     apart = np.abs(wrap(angles[:, None] - middles[None])).max(axis=-1)
     which = np.where(apart.min(axis=1) < FAMILY, apart.argmin(axis=1), len(middles))
     return np.bincount(which, minlength=len(middles) + 1) / len(angles)
+
+
+def room(statistic: Callable[..., np.ndarray], values: np.ndarray, n: int, least: float) -> float:
+    """By how much a statistic of n of the values may differ from that of all.
+
+    Args:
+        statistic: ``np.mean`` or ``np.std``.
+        values: (K,).
+        n: size of a sample.
+        least: is always allowed.
+    """
+    drawn = values[np.random.default_rng(0).integers(0, len(values), (SAMPLES, n))]
+    apart = np.abs(statistic(drawn, axis=1) - statistic(values))
+    return max(least, float(np.quantile(apart, 0.999)))
 
 
 @cache
@@ -132,7 +146,8 @@ def _pair(task: str, robot: str) -> list[Row]:
         k: traces("starts")[f"{task}{robot}_{k}"].astype(float) for k in ("arm_q", "base", "hand")
     }
     n, name = len(ag["arm_q"]), f"{task}, {robot}"
-    less, found = LESS.get(task, "start-person"), []
+    less = LESS.get(task, "goal-contact" if ag["base"][:, 1].std() > 0 else "start-free")
+    found: list[Row] = []
 
     def add(quantity: str, unit: str, theirs: float, mine: float, tolerance: float) -> None:
         found.append(Row(f"{name}: {quantity} ({n})", unit, theirs, mine, tolerance, less))
@@ -140,16 +155,14 @@ def _pair(task: str, robot: str) -> list[Row]:
     if ag["base"][:, 1].std() > 0:
         turn = ag["base"][0, 3]  # yaw of Dressing is about pi
         ag["base"][:, 3], base[:, 3] = (turn + wrap(x[:, 3] - turn) for x in (ag["base"], base))
-        for i, (axis, unit) in enumerate((("x", "m"), ("y", "m"), ("", ""), ("yaw", "rad"))):
-            if not axis:
-                continue
+        for i, axis, unit in ((0, "x", "m"), (1, "y", "m"), (3, "yaw", "rad")):
             theirs, mine = ag["base"][:, i], base[:, i]
-            floor, width = (0.02 if axis == "yaw" else 0.01), mine.std()
-            room = max(floor, ERRORS * width / np.sqrt(n))
-            add(f"base {axis}, mean", unit, theirs.mean(), mine.mean(), room)
+            least = 0.02 if axis == "yaw" else 0.01
+            free = room(np.mean, mine, n, least)
+            add(f"base {axis}, mean", unit, theirs.mean(), mine.mean(), free)
             if n >= 10:
-                room = max(floor, ERRORS * width / np.sqrt(2 * (n - 1)))
-                add(f"base {axis}, spread", unit, theirs.std(ddof=1), width, room)
+                free = room(np.std, mine, n, least)
+                add(f"base {axis}, spread", unit, theirs.std(), mine.std(), free)
     worst = max(kuiper(wrap(a), wrap(b)) for a, b in zip(ag["arm_q"].T, angles.T, strict=True))
     size = np.sqrt(n * len(angles) / (n + len(angles)))
     add(
@@ -162,16 +175,10 @@ def _pair(task: str, robot: str) -> list[Row]:
     middles = families(angles)
     mine, theirs = shares(angles, middles), shares(ag["arm_q"], middles)
     draws = np.random.default_rng(0).multinomial(n, mine, 4000) / n
-    room = float(np.quantile(np.abs(draws - mine).sum(axis=1) / 2, 0.999))
-    add("resets in another family", "", 0.0, float(np.abs(mine - theirs).sum() / 2), room)
+    free = max(1 / n, float(np.quantile(np.abs(draws - mine).sum(axis=1) / 2, 0.999)))
+    add("resets in another family", "", 0.0, float(np.abs(mine - theirs).sum() / 2), free)
     if task != "ArmManipulation":  # AG reports the tool's centre of mass there
-        apart = hand.mean(axis=0) - ag["hand"].mean(axis=0)
-        room = max(0.005, ERRORS * hand.std(axis=0).max() / np.sqrt(n))
-        add(
-            "hand, mean place, largest difference of x, y, z",
-            "m",
-            0.0,
-            float(np.abs(apart).max()),
-            room,
-        )
+        apart = np.abs(hand.mean(axis=0) - ag["hand"].mean(axis=0))
+        free = max(room(np.mean, x, n, 0.005) for x in hand.T)
+        add("hand, mean place, largest difference of x, y, z", "m", 0.0, float(apart.max()), free)
     return found

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from agym_jax.errors import UnknownNameError
 from agym_jax.human import anthropometry
@@ -29,7 +28,7 @@ class Human:
     strength: jax.Array  # multiplies the muscle torque bound, 0.25..1         ()
     limit_scale: jax.Array  # multiplies the joint limits, 0.5..1              ()
     tremor: jax.Array  # amplitude of each controllable joint [rad]            (n_joints,)
-    at_joints: jax.Array = np.float32(0.0)  # 1 if masses are AG's, at the joints ()
+    at_joints: jax.Array | float = 0.0  # 1 if masses are AG's, at the joints        ()
 
     @property
     def dims(self) -> anthropometry.Dims:

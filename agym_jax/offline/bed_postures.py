@@ -15,10 +15,11 @@ limits scaled by U(0.5, 1), its woman with full and with scaled limits, and peop
 and with scaled limits. Every part with scaled limits spans 0.5 to 1 evenly, in ascending order.
 
 DEVIATION(settle): an episode begins in the posture after AG's 2 s but at rest; AG starts with the velocities that
-remain, in ArmManipulation at most 0.3 rad/s for three of four people but for the wrist, whose turning moves no mass
-there (3.3 rad/s). The fall is MuJoCo's: contacts have a time constant of 55 ms, with which arms come to rest as far from the
-body as AG's; on average heights of chest, head, elbow and wrist are AG's within 1 cm. Women's hands spread less
-(3 cm across the bed instead of 9), as AG's sometimes pass through the mattress.
+remain, in ArmManipulation at most 0.3 rad/s in girdle, shoulder and elbow for three of four people, 2.7 at most. The fall is
+MuJoCo's, with contacts of 60 ms, as stiff ones let arms bounce away from the body: on average chest, head, elbow and wrist
+are as high as AG's within 1 cm, but for a man's hand (1.2 cm lower on the bed; 2.7 cm higher where it hangs, as one arm in
+six is still bent then) and a woman's hanging elbow (1.3 cm lower). Hands spread less across the bed for a woman (5 cm instead of 9), as AG's sometimes pass
+through the mattress, and along it where the arm hangs (4 cm instead of 7).
 DEVIATION(posture-bank): a reset samples a settled person of similar size, with the same or slightly narrower
 limits. AG's sizes lie as settled; others begin up to 16 mm inside the bed, arms up to 12 mm above it.
 """
@@ -44,7 +45,6 @@ from agym_jax.human.population import Population
 from agym_jax.human.posture import (
     Postures,
     bank_of,
-    link_positions,
     load_postures,
     save_postures,
 )
@@ -57,8 +57,8 @@ SPREAD = 0.1  # joint angles at the start, U(-0.1, 0.1) rad
 FALL, STEP = 2.0, 0.004  # AG: 100 steps of 0.02 s; finer steps make the same time stable [s]
 GRAVITY = -1.0  # [m/s^2]
 DRAG_STEP = 0.02  # how often Bullet's drag acts [s]
-FALL_SOLREF, FALL_SOLIMP = (0.055, 1.0), (0.8, 0.95, 0.005, 0.5, 2.0)  # of contacts: no bouncing
-ARM_SOLREF = (0.03, 1.0)  # while only the arm moves
+FALL_SOLREF, FALL_SOLIMP = (0.06, 1.0), (0.8, 0.95, 0.005, 0.5, 2.0)  # of contacts: no bouncing
+ARM_SOLREF, ARM_STEP = (0.04, 1.0), 0.01  # while only the arm moves; the skin's at run time
 SELF_FRICTION = 0.25  # AG: the product of 0.5 and 0.5
 SKULL_BACK = 0.067  # of AG's head mesh, from the head's joint; the capsule is flatter [m]
 MAX_PENETRATION, MAX_GAP = 0.006, 0.002  # of the person and the bed, in a row [m]
@@ -124,7 +124,7 @@ def lying_model(
         falling: whether the chest is free.
     """
     spec = mujoco.MjSpec()
-    spec.option.timestep = STEP
+    spec.option.timestep = STEP if falling else ARM_STEP
     spec.option.gravity = (0.0, 0.0, GRAVITY)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     if falling:  # the arm alone slides and rolls under the cone that it has at run time
@@ -174,7 +174,7 @@ def _clipped(angles: np.ndarray, joints: tuple[str, ...], limit_scale: float) ->
 def _settle(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Let everything fall for AG's 2 s, under Bullet's drag."""
     for _ in range(round(FALL / DRAG_STEP)):
-        mujoco.mj_step(model, data, round(DRAG_STEP / STEP))
+        mujoco.mj_step(model, data, round(DRAG_STEP / model.opt.timestep))
         data.qvel *= 1.0 - DRAG_STEP * DRAG * (1.0 + np.abs(data.qvel))
 
 

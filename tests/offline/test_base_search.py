@@ -98,7 +98,7 @@ class Stage:
             solid = [i for i, n in enumerate(names) if n and model.geom_group[i] == 3]
             mine = [i for i in solid if self.moves(model, model.geom_bodyid[i])]
             other = [i for i in solid if names[i].startswith(("human/", "seat/"))]
-            assert len(mine) > 8 and len(other) > 19
+            assert len(mine) >= 8 and len(other) > 19
             for i in mine:
                 for j in other:
                     apart = np.linalg.norm(data.geom_xpos[i] - data.geom_xpos[j])

@@ -91,7 +91,14 @@ def test_population_may_narrow_the_tasks_impairments():
     assert abs((p.strength < 1).mean() - 1 / 3) < 4 * np.sqrt(2 / 9 / N)
 
 
+def test_masses_are_where_the_body_is_or_at_the_joints():
+    assert (crowd(Population()).at_joints == 0).all()
+    assert (crowd(Population(masses="ag")).at_joints == 1).all()
+
+
 def test_unknown_names_are_refused_with_the_nearest():
+    with pytest.raises(UnknownNameError, match=r"distribution of masses 'at'"):
+        Population(masses="at")
     with pytest.raises(UnknownNameError, match=r"impairment 'tremors'.*Did you mean 'tremor'"):
         Population(impairments=("tremors",))
     with pytest.raises(UnknownNameError, match=r"'contiguous'.*Did you mean 'continuous'"):

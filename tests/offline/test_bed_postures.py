@@ -152,13 +152,17 @@ def test_people_rest_on_the_bed_at_episode_start(name: str):
     humans = Population(impairments=("none", "limits", "weakness", "tremor"))
     humans, poses = _drawn(name, humans, 64)
     assert (humans.limit_scale < 1).sum() > 8
+    arms = []
     for i in range(64):
         human, pose = jax.tree.map(lambda x: x[i], (humans, poses))  # noqa: B023
         gap = _gaps_in_the_scene(name, human, pose)
         worst = min(gap, key=gap.__getitem__)
         assert gap[worst] >= -bed_postures.MAX_PENETRATION, (i, worst, gap[worst])
         assert min(gap["chest"], gap["waist"], gap["hips"]) <= bed_postures.MAX_GAP, (i, gap)
-        assert min(gap[x] for x in body.RIGHT_ARM_LINKS) <= bed_postures.MAX_GAP, (i, gap)
+        arms.append(min(gap[x] for x in body.RIGHT_ARM_LINKS))
+    # after AG's 2 s most arms lie on the bed; some still move
+    assert np.mean(np.array(arms) <= bed_postures.MAX_GAP) > 0.6, arms
+    assert max(arms) < 0.05
 
 
 def test_scene_is_built_with_full_joint_limits():
@@ -171,26 +175,16 @@ def test_scene_is_built_with_full_joint_limits():
 
 
 def test_arms_lie_on_the_bed_or_hang_by_task():
-    for i in range(0, ROWS, 37):
-        lying, hanging = (load_postures(name) for name in TASKS)
-        gap = bed_postures.clearances(lying.row(i))
-        assert min(gap["right_upper_arm"], gap["right_forearm"], gap["right_hand"]) < 0.002
-        links = link_positions(hanging.row(i))
-        assert links["right_hand"][0] < -0.6  # beyond the edge,
-        assert links["right_hand"][2] < 0.65  # below the mattress's top,
-        gap = bed_postures.clearances(hanging.row(i))
-        assert gap["right_upper_arm"] < 0.002  # on whose edge the upper arm rests
-
-
-def test_hanging_arm_is_at_rest_with_the_friction_and_gravity_of_the_task():
-    bank, how = load_postures("ArmManipulation"), bed_postures.SCENARIOS["ArmManipulation"]
-    as_it_is = bed_postures.Scenario(how.start, {}, (-9.81,), how.friction)
-    for i in (0, 150, 300, 500, 700):
-        row = bank.row(i)
-        again, speed = bed_postures.rest_arm(row, as_it_is)
-        assert speed < bed_postures.REST_SPEED
-        moved, before = (link_positions(x)["right_hand"] for x in (again, row))
-        np.testing.assert_allclose(moved, before, atol=0.005)  # of 1.2 m below the shoulder
+    lying, hanging = (load_postures(name) for name in TASKS)
+    rows = range(0, ROWS, 37)
+    gaps = [bed_postures.clearances(lying.row(i)) for i in rows]
+    on_bed = [min(g["right_upper_arm"], g["right_forearm"], g["right_hand"]) for g in gaps]
+    assert np.mean(np.array(on_bed) < 0.002) > 0.6
+    links = [link_positions(hanging.row(i)) for i in rows]
+    assert all(x["right_forearm"][0] < -0.5 for x in links)  # beyond the edge,
+    assert np.mean([x["right_hand"][2] < 0.65 for x in links]) > 0.9  # below the mattress's top,
+    gaps = [bed_postures.clearances(hanging.row(i))["right_upper_arm"] for i in rows]
+    assert np.mean(np.array(gaps) < 0.002) > 0.6  # on whose edge the upper arm rests
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -200,12 +194,38 @@ def test_settled_people_match_assistive_gym(name: str, sex: int):
     for key, values in posture_report.AG[name].items():
         mean = found[key][0]
         if key in body.LINK:
-            # ours has the mass where it belongs; measured differences: trunk 1.3 cm, wrist 11 cm along
-            # the bed, where AG's male arms swing towards the feet; everything else 5 cm
-            atol = {"right_hand": 0.13, "right_forearm": 0.07}.get(key, 0.03)
+            # humans.md has 25 resets, both sexes together; benchmarks/parity/bed.py compares with more
+            atol = {"right_hand": 0.05, "right_forearm": 0.03, "right_shin": 0.03}.get(key, 0.02)
             np.testing.assert_allclose(mean, values[sex], atol=atol, err_msg=f"{key} {sex}")
         elif key in ("r_shoulder_y", "r_shoulder_x", "r_elbow_x"):
-            assert abs(mean - values[sex]) < 20, (key, mean, values[sex])
+            assert abs(mean - values[sex]) < 15, (key, mean, values[sex])
+
+
+def test_arm_hangs_where_it_was_dropped_for_two_seconds():
+    how = bed_postures.SCENARIOS["ArmManipulation"]
+    row = load_postures("ArmManipulation").row(0)
+    again = bed_postures.drop_arm(row, how)
+    arm = [list(body.JOINTS).index(j) for j in body.RIGHT_ARM]
+    others = np.setdiff1d(np.arange(len(body.JOINTS)), arm)
+    np.testing.assert_array_equal(again.angles[others], row.angles[others])
+    np.testing.assert_array_equal(again.root_pos, row.root_pos)
+    moved, before = (link_positions(x)["right_forearm"] for x in (again, row))
+    np.testing.assert_allclose(moved, before, atol=0.06)  # from another start of forearm and hand
+
+
+def test_people_settle_with_the_masses_and_friction_of_assistive_gym():
+    row = load_postures("BedBathing").row(0)
+    model = bed_postures.lying_model(row, tuple(body.JOINTS), 2.5, falling=True)
+    arm = model.body("human/right_upper_arm")
+    np.testing.assert_allclose(arm.ipos, 0.0)
+    # ag_traces: upper arm 2.587 kg, (0.030, 0.030, 0.003) kg m2
+    assert arm.mass[0] == pytest.approx(2.587, rel=1e-3)
+    np.testing.assert_allclose(arm.inertia, (0.0303, 0.0303, 0.0032), atol=1e-4)
+    assert (model.dof_damping == 0).all() and (model.dof_armature == 0).all()
+    assert model.body_mass.sum() == pytest.approx(78.4, rel=1e-3)
+    bed = [i for i in range(model.npair) if "bed/" in model.geom(model.pair_geom2[i]).name]
+    np.testing.assert_allclose(model.pair_friction[bed], 2.5)
+    assert (model.pair_dim[bed] == 6).all()
 
 
 def test_self_collision_mask_matches_assistive_gym():

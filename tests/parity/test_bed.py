@@ -1,0 +1,51 @@
+# ruff: noqa: D103
+"""The bed and who lies on it, against arrays recorded in Assistive Gym."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from agym_jax.data.assets import asset_path
+from agym_jax.furniture import BED
+from benchmarks.deviations import collect
+from benchmarks.parity import bed
+
+
+@pytest.fixture(scope="module")
+def rows() -> dict:
+    return {row.quantity: row for row in bed.rows()}
+
+
+def test_rows_hold_or_name_a_deviation(rows):
+    known = {note.slug for note in collect()}
+    for row in rows.values():
+        assert row.holds or row.deviation in known, row
+
+
+def test_mattress_is_within_5_mm_where_arms_and_tools_go(rows):
+    assert rows["mattress, 95 % of the points within"].holds
+    assert rows["pillow's slope, root mean square"].holds
+
+
+@pytest.mark.parametrize("task", ["BedBathing", "ArmManipulation"])
+@pytest.mark.parametrize("who", ["men", "women"])
+def test_chest_and_head_are_as_high_as_ags(rows, task: str, who: str):
+    for link in ("chest", "head"):
+        assert rows[f"{task}, {who}: height of the {link}, mean"].holds
+
+
+def test_two_shapes_make_the_mattress_and_mjx_collides_both():
+    model = mujoco.MjModel.from_xml_path(str(asset_path(BED.model)))
+    kinds = {int(model.geom(g).type[0]) for g in (*BED.geoms, *BED.pillow)}
+    assert (
+        len(BED.geoms) == 2 and len(BED.pillow) == 1
+    )  # each costs a pair with every limb and tool
+    assert kinds <= {int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CAPSULE)}
+
+
+def test_distance_is_that_of_the_surface():
+    box = np.array([[-0.1, 0.0, 1.0]])
+    far = bed.heights(box, BED.geoms)[0]
+    assert far == pytest.approx(1.0 - 0.75, abs=0.01)

@@ -52,7 +52,7 @@ def episode_of(env: agym_jax.Env, name: str, case: int) -> Episode:
     return dataclasses.replace(episode, human_angles=angles, human_target=angles)
 
 
-def press(name: str, cases: Sequence[int]) -> Press:
+def press(name: str, cases: Sequence[int] | np.ndarray) -> Press:
     """Play recorded cases."""
     env, kept = agym_jax.make(f"{name}-v0", impl="native"), traces("pressing")
     aim, sense = env.physics.stage(env.controller.targets), env.physics.stage(env._sense)
@@ -71,7 +71,7 @@ def press(name: str, cases: Sequence[int]) -> Press:
     return Press(force, depth)
 
 
-def recorded(name: str, cases: Sequence[int]) -> Press:
+def recorded(name: str, cases: Sequence[int] | np.ndarray) -> Press:
     """The same cases in Assistive Gym."""
     kept = traces("pressing")
     return Press(kept[f"{name}_force"][list(cases)], kept[f"{name}_depth"][list(cases)])
@@ -95,9 +95,13 @@ def rows(every: int = 1) -> list[Row]:
             action = f"{what}, largest action {level:.1f}"
             for quantity, values in (("force in the last second", last), ("peak", peak)):
                 tolerance = 0.25 * values[0]
-                out.append(Row(f"{action}: {quantity}", "N", *values, tolerance, "rigid-grip"))
+                out.append(
+                    Row(f"{action}: {quantity}", "N", values[0], values[1], tolerance, "rigid-grip")
+                )
         touching = [float(np.mean(x.force > 0.05)) for x in both]
         depth = [1e3 * float(np.nanmedian(x.depth)) for x in both]
-        out.append(Row(f"{what}: share of control steps in touch", "", *touching, 0.1))
-        out.append(Row(f"{what}: depth of the contact, median", "mm", *depth, 1.0))
+        out.append(
+            Row(f"{what}: share of control steps in touch", "", touching[0], touching[1], 0.1)
+        )
+        out.append(Row(f"{what}: depth of the contact, median", "mm", depth[0], depth[1], 1.0))
     return out

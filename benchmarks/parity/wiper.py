@@ -176,19 +176,21 @@ def rows() -> list[Row]:
         [float(np.mean([x[c].pad_bears for c in CASES if c[2] == across])) for x in both]
         for across in (0, 1)
     ]
-    other = sum(int(np.sum(theirs[c].pad_bears != ours[c].pad_bears)) for c in CASES)
+    other = float(sum(np.sum(theirs[c].pad_bears != ours[c].pad_bears) for c in CASES))
     height = [1e3 * float(np.median([x[c].height for c in CASES])) for x in both]
+    gap = 1e3 * float(np.median(away))
     everywhere = {c: np.ones((9, 9), bool) for c in CASES}
     on_pad, on_any = ([_mean_wiped(x, which) for x in both] for which in (same, everywhere))
     bears = "share of orientations in which the pad bears the load, long side"
+    most = "points wiped by a press, mean of all orientations"
     return [
-        Row(f"{bears} along the limb", "", *share[0], 0.02),
-        Row(f"{bears} across the limb", "", *share[1], 0.02),
-        Row("orientations, of 648, in which another part bears it", "", 0.0, float(other), 13.0),
-        Row("height of the pad above the limb, median", "mm", *height, 1.0),
-        Row("distance between both contacts of the pad, median", "mm", 0.0, 1e3 * float(np.median(away)), 1.0),
-        Row("points wiped by a press, mean where the pad bears it", "", *on_pad, 0.05 * on_pad[0]),
-        Row("points wiped by a press, mean of all orientations", "", *on_any, 0.05 * on_any[0], "wiper-shape"),
+        Row(f"{bears} along the limb", "", share[0][0], share[0][1], 0.02),
+        Row(f"{bears} across the limb", "", share[1][0], share[1][1], 0.02),
+        Row("orientations, of 648, in which another part bears it", "", 0.0, other, 13.0),
+        Row("height of the pad above the limb, median", "mm", height[0], height[1], 1.0),
+        Row("distance between both contacts of the pad, median", "mm", 0.0, gap, 1.0),
+        Row("points wiped by a press, mean where the pad bears it", "", on_pad[0], on_pad[1], 0.05 * on_pad[0]),
+        Row(most, "", on_any[0], on_any[1], 0.05 * on_any[0], "wiper-shape"),
     ]  # fmt: skip
 
 

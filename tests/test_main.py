@@ -12,7 +12,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-from paths import ROOT
+from paths import PROCESS_SECONDS, ROOT
 
 import agym_jax
 from agym_jax import __main__ as cli
@@ -26,7 +26,7 @@ def run(code: str, folder: Path, *words: str, **settings: str) -> subprocess.Com
     """Python in another process: ``-c code``, or ``-m agym_jax`` without one."""
     start = ["-c", code] if code else ["-m", "agym_jax"]
     return subprocess.run(
-        [sys.executable, *start, *words], cwd=folder, capture_output=True, text=True, check=False,
+        [sys.executable, *start, *words], cwd=folder, capture_output=True, text=True, check=False, timeout=PROCESS_SECONDS,
         env={"PYTHONPATH": str(ROOT), "PATH": "", "JAX_PLATFORMS": "cpu", "HOME": str(folder)} | settings,
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from paths import ROOT
+from paths import PROCESS_SECONDS, ROOT
 
 pytestmark = pytest.mark.slow
 GIT = ("git", "-c", "user.name=a", "-c", "user.email=a@b.c")
@@ -38,7 +38,7 @@ class Installed:
         """What Python prints when it is given these words in the user's folder; it may not fail."""
         python_path = os.pathsep.join([str(self.target), sysconfig.get_path("purelib")])
         found = subprocess.run(
-            [sys.executable, "-S", *words], cwd=self.folder, capture_output=True, text=True, check=False,
+            [sys.executable, "-S", *words], cwd=self.folder, capture_output=True, text=True, check=False, timeout=PROCESS_SECONDS,
             env={"PYTHONPATH": python_path, "PATH": os.environ["PATH"], "JAX_PLATFORMS": "cpu",
                  "HOME": str(self.folder), "AGYM_JAX_CACHE": os.environ.get("AGYM_JAX_CACHE", "off")},
         )  # fmt: skip
@@ -52,7 +52,7 @@ class Installed:
 
 def pip(*words: str) -> None:
     command = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *words]
-    subprocess.run(command, check=True)
+    subprocess.run(command, check=True, timeout=PROCESS_SECONDS)
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from paths import PROCESS_SECONDS
 
 import agym_jax
 from agym_jax.adapters.gymnasium import GymnasiumEnv, RenderModeError, register_envs
@@ -56,7 +57,7 @@ def test_module_prefix_registers_by_importing():
     root = os.path.dirname(os.path.dirname(agym_jax.__file__))
     path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", code],
+        [sys.executable, "-W", "ignore", "-c", code], timeout=PROCESS_SECONDS,
         capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}, check=False,
     )  # fmt: skip
     assert done.stdout.strip() == NAME, done.stderr

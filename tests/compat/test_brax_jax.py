@@ -15,6 +15,7 @@ import pytest
 from brax.training import pmap
 from brax.training.agents.ppo import train as ppo
 from brax.training.agents.sac import train as sac
+from paths import PROCESS_SECONDS
 
 from agym_jax.compat import brax_jax
 
@@ -43,6 +44,7 @@ def _in_a_fresh_process(**environment: str) -> dict:
         capture_output=True,
         text=True,
         check=True,
+        timeout=PROCESS_SECONDS,
         env={**os.environ, **two, **environment},
     )
     return json.loads(done.stdout.splitlines()[-1])

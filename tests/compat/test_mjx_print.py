@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from paths import ROOT
+from paths import PROCESS_SECONDS, ROOT
 
 from agym_jax.compat import mjx_print
 
@@ -18,7 +18,7 @@ WITHOUT_WARP = "import sys; sys.modules['warp'] = None; "
 def printed(code: str, folder: Path, compat: str = "") -> str:
     """Standard output of a program on a machine without warp-lang."""
     found = subprocess.run(
-        [sys.executable, "-c", WITHOUT_WARP + code], cwd=folder, capture_output=True, text=True, check=False,
+        [sys.executable, "-c", WITHOUT_WARP + code], cwd=folder, capture_output=True, text=True, check=False, timeout=PROCESS_SECONDS,
         env={"PYTHONPATH": str(ROOT), "PATH": "", "JAX_PLATFORMS": "cpu", "AGYM_JAX_COMPAT": compat},
     )  # fmt: skip
     assert found.returncode == 0, found.stderr

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import time
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -48,16 +46,13 @@ def test_the_barrier_is_in_what_is_compiled():
 
 @onlycpu
 @pytest.mark.jit
-def test_kinematics_of_eight_worlds_takes_no_time(static_env):
-    """1 ms on two cores of a server; 400 ms without the patch."""
+def test_kinematics_computes_every_link_once(static_env):
+    """By what is compiled: 18 thousand operations for eight worlds. Links that compute their parents anew need many more."""
     model, data = static_env.physics.model, mjx.make_data(static_env.scene.model)
-    qpos = jnp.asarray(np.random.default_rng(0).normal(size=(BATCH, model.nq)), jnp.float32)
     run = jax.jit(jax.vmap(lambda q: mjx.kinematics(model, data.replace(qpos=q)).xpos))
-    out = run(qpos).block_until_ready()
-    times = []
-    for _ in range(10):
-        begin = time.perf_counter()
-        run(qpos).block_until_ready()
-        times.append(time.perf_counter() - begin)
-    assert min(times) < 0.05, times
-    assert np.isfinite(out).all()
+    lowered = run.lower(jax.ShapeDtypeStruct((BATCH, model.nq), jnp.float32))
+    assert lowered.as_text().count("optimization_barrier") >= model.njnt
+    compiled = lowered.compile()
+    assert compiled.cost_analysis()["flops"] < 1e5
+    qpos = np.random.default_rng(0).normal(size=(BATCH, model.nq)).astype(np.float32)
+    assert np.isfinite(compiled(qpos)).all()

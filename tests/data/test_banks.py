@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from paths import SUPPORT
+from paths import PROCESS_SECONDS, SUPPORT
 
 from agym_jax.data import banks
 from agym_jax.data.assets import asset_root
@@ -166,7 +166,7 @@ def test_ids_of_a_module_outside_work_on_every_command_line(own: Path):
         "toy_plug_in:WavingJaco-v0",
     ]
     found = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, check=False,
+        command, cwd=folder, capture_output=True, text=True, check=False, timeout=PROCESS_SECONDS,
         env={"PYTHONPATH": str(folder.parent), "PATH": "", "JAX_PLATFORMS": "cpu"},
     )  # fmt: skip
     assert found.returncode == 0, found.stderr

@@ -8,6 +8,7 @@ import warnings
 import mujoco
 import numpy as np
 import pytest
+from paths import PROCESS_SECONDS
 
 from agym_jax import rendering
 from agym_jax.errors import AgymError
@@ -294,7 +295,9 @@ def test_rendering_exports_are_imported_at_first_use():
         "assert not {'agym_jax.rendering.render', 'mujoco', 'OpenGL'} & set(sys.modules)\n"
         "assert r.Renderer and r.Marker and r.write_clip and set(r.__all__) <= set(dir(r))\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PROCESS_SECONDS
+    )
     assert not done.returncode, done.stderr
     with pytest.raises(AttributeError, match="no attribute 'Rendrer'"):
         rendering.Rendrer  # noqa: B018

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from compiled import ACTIVE, BATCH, STATIC, CompiledBatch
+from paths import PROCESS_SECONDS
 from test_parity import APPROACH, PRESS, WATCHED, one, press_goals
 
 import agym_jax
@@ -166,7 +167,7 @@ def _child(code: str, folder: Path) -> str:
     root = os.path.dirname(os.path.dirname(agym_jax.__file__))
     path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", code], cwd=folder,
+        [sys.executable, "-W", "ignore", "-c", code], cwd=folder, timeout=PROCESS_SECONDS,
         capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path, "JAX_PLATFORMS": "cpu"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -14,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from paths import ROOT, SUPPORT
+from paths import PROCESS_SECONDS, ROOT, SUPPORT
 
 from train.learning.ppo import Hyper
 from train.learning.rollout import init_rollout
@@ -50,12 +49,14 @@ def kill_in_training(env: Any, trainer: str, config: Any) -> None:
     )
     folder = Path(config.save_dir) / env.name / "checkpoints"
     with start_python(code, stderr=subprocess.DEVNULL) as process:
-        deadline = time.monotonic() + 120
-        while len(checkpoint_files(folder)) < 2 and process.poll() is None:
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        assert process.poll() is None, "the run ended before it could be killed"
-        process.send_signal(signal.SIGKILL)
+        try:
+            deadline = time.monotonic() + PROCESS_SECONDS
+            while len(checkpoint_files(folder)) < 2 and process.poll() is None:
+                assert time.monotonic() < deadline, "no checkpoints were written"
+                time.sleep(0.02)
+            assert process.poll() is None, "the run ended before it could be killed"
+        finally:  # SIGKILL; also where this fails: the process must not outlive the test
+            process.kill()
 
 
 def check_continued(result: Any, said: list[str], config: Any, updates: int) -> None:

@@ -9,6 +9,7 @@ import socket
 import subprocess
 
 import pytest
+from paths import PROCESS_SECONDS
 from train_runs import start_python
 
 from train.errors import ConfigError
@@ -166,7 +167,10 @@ print(json.dumps({{"status": status, "hosts": jax.process_count(), "devices": ja
 
 def last_line(process: subprocess.Popen) -> dict:
     """What a process printed last, as JSON."""
-    out, err = process.communicate(timeout=300)
+    try:
+        out, err = process.communicate(timeout=PROCESS_SECONDS)
+    finally:  # also where this fails: the process must not outlive the test
+        process.kill()
     assert process.returncode == 0, err[-3000:]
     return json.loads(out.splitlines()[-1])
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -24,6 +25,7 @@ from benchmarks.parity.row import Row, traces
 SEXES = ("male", "female")
 ELBOW, WRIST = 0, 1
 FAR = (20.0, 20.0, 0.0)  # where the robot is [m]
+HEAVY = 1e3  # its rotors [kg m2]
 FIRST_SECOND = 51  # samples of 20 ms
 JOINTS = tuple(body.JOINTS)
 
@@ -69,6 +71,8 @@ class Person:
         model.geom_sameframe[index.human_geom] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         model.body_sameframe[index.human_body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         model.body_pos[index.robot_base] = FAR
+        model.dof_armature[index.robot_dof] = HEAVY  # nobody drives it
+        model.dof_damping[index.robot_dof] = 0.0
         damping = 0.0 if at_joints else muscles.TISSUE_DAMPING
         model.dof_damping[index.human_dof] = damping
         model.dof_armature[index.human_dof] *= 0.0 if at_joints else 1.0
@@ -161,6 +165,34 @@ def resting(sex: int, at_joints: bool) -> tuple[np.ndarray, np.ndarray]:
     return np.array(ours), np.array(ag)
 
 
+def seated(run: int, at_joints: bool) -> float:
+    """Fall of the wrist of one of the recorded people who sit and hold still, within 2 s [m]."""
+    _, sex, _, limit_scale, strength = (float(x) for x in traces("limp_arm")["seated_person"][run])
+    spec, d = TASKS["ScratchItch"].human, anthropometry.dims(sex)
+    pose = human_pose.seated(spec, d, sex, 1.0, 1.0, np, limit_scale)
+    base = np.concatenate([pose.root_pos, pose.root_quat[[1, 2, 3, 0]]])
+    who = Person.lying(int(sex), base, pose.angles, at_joints, "ScratchItch")
+    model, index, still = who.model, who.scene.index, jnp.bool_(False)
+    how = spec, jnp.float32(strength), still, float(at_joints)
+    damping = float(muscles.damping(*how))
+    model.dof_armature[index.human_dof] += (
+        damping - model.dof_damping[index.human_dof]
+    ) * model.opt.timestep
+    model.dof_damping[index.human_dof] = damping
+    pull = muscles.Muscles(*(np.asarray(x) for x in muscles.muscles_of(*how)))
+    data, hand = mujoco.MjData(model), model.body("human/right_hand").id
+    held = human_pose.start_angles(pose, who.scene.moving, limit_scale, np)
+    data.qpos[index.human_qpos] = held
+    mujoco.mj_kinematics(model, data)
+    start = data.xpos[hand, 2]
+    for _ in range(100):
+        q, load = data.qpos[index.human_qpos], data.qfrc_bias[index.human_dof]
+        data.qfrc_applied[index.human_dof] = pull.torque(held, q, load, np)
+        mujoco.mj_step(model, data)
+        who.after_step(data)
+    return float(start - data.xpos[hand, 2])
+
+
 def rows() -> list[Row]:
     """Loads, drag, drops and where the arm comes to rest."""
     t, found = traces("limp_arm"), []
@@ -199,4 +231,13 @@ def rows() -> list[Row]:
                             "bed-contact",
                         )
                     )  # fmt: skip
+    fall = t["seated_pos"][:, 0, 2, 2] - t["seated_pos"][:, 4, 2, 2]  # within 2 s
+    for run, who in ((0, "man of full strength"), (3, "weak man"), (7, "weak woman")):
+        for masses, at_joints, why in (
+            ("AG's masses", True, "muscle-damping"),
+            ("our masses", False, "girdle-support"),
+        ):
+            found.append(
+                Row(f"seated {who}: fall of the wrist within 2 s, {masses}", "m", float(fall[run]), seated(run, at_joints), 0.005, why)
+            )  # fmt: skip
     return found

@@ -13,7 +13,7 @@ import dataclasses
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -102,6 +102,22 @@ def layout_of(d: mujoco.MjData) -> Layout:
     return tuple(layout)
 
 
+class Watcher(Protocol):
+    """What is told of every physics step, see ``sim.impulse``."""
+
+    def before(self, data: mujoco.MjData) -> None:
+        """One is about to begin."""
+        ...
+
+    def after(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """It has been taken."""
+        ...
+
+    def finish(self) -> None:
+        """A control step is over."""
+        ...
+
+
 class NativePhysics:
     """See ``physics.Physics``. Its methods are functions of their arguments, though not traceable ones.
 
@@ -119,6 +135,7 @@ class NativePhysics:
         self._data = mujoco.MjData(self.model)
         self._layout = layout_of(self._data)
         self._data.warning.number[:] = 1  # MuJoCo logs a first warning into the current folder
+        self.watcher: Watcher | None = None
         self._lock = threading.Lock()  # of model and data, which every call overwrites
         self._written: list[Any] = []  # leaves of what the model holds of an episode
 
@@ -166,8 +183,12 @@ class NativePhysics:
                 if not _is_sound(d):
                     break
                 d.qfrc_applied[index.human_dof] = self._torque(d, target)
+                if self.watcher:
+                    self.watcher.before(d)
                 self.controller.motors.prepare(self.model, d, goal)
                 mujoco.mj_step(self.model, d)
+                if self.watcher:
+                    self.watcher.after(self.model, d)
                 if self.controller.at_joints:
                     q, v = d.qpos[index.human_qpos], d.qvel[index.human_dof]
                     limits = self.model.jnt_range[index.human_joint]
@@ -179,6 +200,8 @@ class NativePhysics:
                 motion = motion_at_rest(index, data, self.frame_skip)
                 # the guard against NaN sees it
                 return data.replace(qpos=np.nan), no_contacts(index), motion
+            if self.watcher:
+                self.watcher.finish()
             mujoco.mj_kinematics(self.model, d)
             samples.append(sample_poses(index, d, np))
             motion = motion_of(index, jax.tree.map(lambda *x: np.stack(x), *samples), np)

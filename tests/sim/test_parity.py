@@ -169,7 +169,9 @@ class _Shadow:
         d, index, motors = self.data, self.index, self.env.controller.motors
         for name in ("qpos", "qvel", "qacc_warmstart", "qfrc_bias"):
             getattr(d, name)[:] = np.asarray(getattr(before.data, name))
-        goal = np.asarray(self.env.controller.targets(before.episode, before.data.qpos, action).goal)
+        goal = np.asarray(
+            self.env.controller.targets(before.episode, before.data.qpos, action).goal
+        )
         d.M[motors.entries] = np.asarray(motors.inertia(before.data._impl.M))
         held = jnp.asarray(before.data.qpos)[index.human_qpos]
         target, _ = self.env.controller.human_target(before.episode, held, jnp.zeros(0))

@@ -36,7 +36,7 @@ class SuiteConfig:
     """Flags of ``agym-jax suite``."""
 
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Parts of ids, such as Jaco or ScratchItchPR2-v0; without them, all environments."""
+    """Parts of ids, such as Jaco or ScratchItchPR2-v0, trained in this order; without them, all environments."""
     num_seeds: Count = 8
     """Seeds of each environment."""
     num_episodes: Count = 1000
@@ -71,7 +71,7 @@ class Outcome:
 
 
 def suite_ids(only: Sequence[str]) -> list[str]:
-    """Ids whose names contain one of the parts.
+    """Ids whose names contain one of the parts, in the order of the parts.
 
     Raises:
         UnknownNameError: a part is in no id.
@@ -80,7 +80,8 @@ def suite_ids(only: Sequence[str]) -> list[str]:
     for part in only:
         if not any(part in name for name in ids):
             raise UnknownNameError("environment", part, ids)
-    return [name for name in ids if not only or any(part in name for part in only)]
+    found = [name for part in only or [""] for name in ids if part in name]
+    return list(dict.fromkeys(found))
 
 
 def steps_of(steps: Sequence[str], env_name: str) -> list[str]:

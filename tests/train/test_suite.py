@@ -71,6 +71,7 @@ def test_what_fails_is_told_and_the_others_go_on(tmp_path, program):
 
 def test_names_and_steps():
     assert suite_ids(["ReachingJaco"]) == ["ReachingJaco-v0", "ReachingJacoHuman-v0"]
+    assert suite_ids(["SawyerHuman", "DressingSawyer"])[-1] == "DressingSawyer-v0"
     assert len(suite_ids([])) == 56
     with pytest.raises(UnknownNameError, match="ReachingJacko"):
         suite_ids(["ReachingJacko"])

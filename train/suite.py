@@ -50,7 +50,7 @@ class SuiteConfig:
     steps: tuple[str, ...] = ()
     """Steps of a seed where the trainer's default does not suit: NAME=STEPS, such as Dressing=6e6."""
     flags: str = ""
-    """Further flags of train and coop, in quotes."""
+    """Further flags of train and coop: --flags="--num-envs 2048 --lr 1e-3"."""
 
 
 @dataclass(frozen=True)

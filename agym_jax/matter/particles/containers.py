@@ -9,7 +9,9 @@ The frames are Assistive Gym's mesh frames rotated by ``AG_TO_VESSEL``: AG's x i
 z (along the spoon's handle) is -y.
 
 DEVIATION(vessel-shape): AG's convex pieces (reference furniture.md sections 6 and 7) become a cone with
-a flat floor and a spherical dish with a trough; their inner faces differ by up to 2 mm.
+a flat floor and a spherical dish with a trough; their inner faces differ by up to 2 mm. A spoon that is turned loses half
+of its food within 11 degrees of AG's angle, but the last piece 18 to 31 degrees later; a cup half of its water within 7
+degrees, and all of it within 15.
 """
 
 from __future__ import annotations

@@ -100,16 +100,16 @@ def _head(sex: str, person: Person) -> list[Row]:
         Row(f"{sex}: depth of the mouth's target behind the lips", "mm",
             inside(theirs[row, column], mouth[1]), inside(ours[row, column], target[1]), 3.0),
         Row(f"{sex}: largest distance of the surfaces around the mouth", "mm", 0.0,
-            1e3 * np.nanmax(np.where(near, apart, np.nan)), 3.0),
+            float(1e3 * np.nanmax(apart[near])), 3.0),
         Row(f"{sex}: mean distance of the surfaces around the mouth", "mm", 0.0,
-            1e3 * np.nanmean(np.where(near, apart, np.nan)), 3.0),
+            float(1e3 * np.nanmean(apart[near])), 3.0),
         Row(f"{sex}: y of the tip of the nose", "mm", 1e3 * np.nanmin(theirs), 1e3 * np.nanmin(ours), 3.0),
         Row(f"{sex}: mean distance of the surfaces, 10 cm around the mouth", "mm", 0.0,
-            1e3 * np.nanmean(apart), 3.0),
+            float(1e3 * np.nanmean(apart)), 3.0),
         Row(f"{sex}: largest distance of the surfaces, 10 cm around the mouth", "mm", 0.0,
-            1e3 * np.nanmax(apart), 3.0, "head-capsules"),
+            float(1e3 * np.nanmax(apart)), 3.0, "head-capsules"),
         Row(f"{sex}: mean difference of the head's distance from its axis", "mm", 0.0,
-            np.nanmean(abs(whole)), 3.0, "head-capsules"),
+            float(np.nanmean(abs(whole))), 3.0, "head-capsules"),
     ]  # fmt: skip
 
 

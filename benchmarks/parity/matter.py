@@ -61,7 +61,8 @@ def rows() -> list[Row]:
 def _stepper(task: Task, vessel: Pose) -> Callable[[Particles, tuple, tuple], Particles]:
     """One control step of a vessel that nobody and nothing is near, from one pose of the tool to another."""
     share = np.linspace(0.0, 1.0, task.control.frame_skip + 1, dtype=np.float32)[:, None]
-    nobody = Capsules(*jnp.full((2, len(share), 1, 3), 1e3), jnp.full(1, 0.01))
+    far = jnp.full((len(share), 1, 3), 1e3)
+    nobody = Capsules(far, far, jnp.full(1, 0.01))
 
     @jax.jit
     def step(state: Particles, before: tuple, after: tuple) -> Particles:

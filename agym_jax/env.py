@@ -6,7 +6,7 @@ those in ``sim.physics``; where JAX cannot trace it, the stages around it are co
 
 DEVIATION(action-penalty): actions are clipped to [-1, 1] before they are penalised (AG penalises the
 raw action).
-DEVIATION(quaternion-order): observed quaternions are wxyz; AG's are xyzw. Their sign at the start is AG's (of 703
+DEVIATION(quaternion-order): observed quaternions are wxyz; AG's are xyzw. Their sign at the start is AG's (of 688
 recorded there none has the other), and then continuous; AG's jumps during an episode where w passes 1/2.
 DEVIATION(one-turn): joints that turn freely begin in [-pi, pi) and are observed without a jump from there; AG's inverse
 kinematics begins them up to two turns away.

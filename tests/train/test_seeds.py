@@ -65,6 +65,7 @@ def test_each_of_several_seeds_learns_as_it_would_alone(case):
 def test_the_combined_curve_tells_of_all_seeds():
     result = ppo.train(FakeEnv(), PPOConfig(**SETTINGS, num_seeds=4))
     last = result.curve[-1]
+    assert last["env_steps"] == 1920 and isinstance(last["env_steps"], int)
     own = [found.curve[-1]["return"] for found in result.seeds]
     assert last["num_seeds"] == 4 and last["episodes"] == sum(
         found.curve[-1]["episodes"] for found in result.seeds

@@ -46,8 +46,10 @@ def combine_rows(rows: Sequence[Row]) -> Row:
         values = np.array([row[name] for row in rows if row[name] is not None], float)
         if not len(values):
             combined[name] = None
-        elif name in ("episodes", "nan", "overflow", "nan_total"):
+        elif name in ("episodes", "nan", "overflow"):
             combined[name] = int(values.sum())
+        elif name in ("env_steps", "nan_total"):  # the same in all rows
+            combined[name] = int(values[0])
         elif name in SCORES:
             low, high = bootstrap_interval(values[:, None])
             combined |= {name: iqm(values), f"{name}_low": low, f"{name}_high": high}

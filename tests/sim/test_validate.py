@@ -184,7 +184,9 @@ def test_a_hand_must_be_round_where_it_is_sensed(stick: RobotSpec):
     message = r"Stick's file .*links\[0\].* 'hand_collision' is a cylinder.*capsule or sphere"
     with pytest.raises(SpecError, match=message):
         compose(REACH, robot)
-    assert (compose(SCRATCH, robot).dof_frictionloss > 0).sum() == 1  # there it is the tool that is sensed
+    assert (
+        compose(SCRATCH, robot).dof_frictionloss > 0
+    ).sum() == 1  # there it is the tool that is sensed
 
 
 def test_a_robot_needs_collision_geoms(stick: RobotSpec):

@@ -221,8 +221,8 @@ def test_the_bank_puts_the_hand_where_the_task_starts(toy: ModuleType, bank: Pat
         where[i] = turn @ data.site_xpos[index.tools[0].tip] + rows.base_pos[i]
         approach = turn @ data.site_xmat[index.tools[0].tip].reshape(3, 3)[:, 2]
         np.testing.assert_allclose(approach, (1.0, 0.0, 0.0), atol=0.02)
-    low = np.array([-0.4, -0.4, 1.1])
-    assert (where > low - 2e-3).all() and (where < low + 0.1 + 2e-3).all()
+    low, reached = np.array([-0.4, -0.4, 1.1]), 0.03  # AG accepts a start pose within 3 cm
+    assert (where > low - reached).all() and (where < low + 0.1 + reached).all()
 
 
 @pytest.mark.parametrize("human", ["", "Human"])

@@ -29,7 +29,7 @@ from agym_jax.wrappers import vectorize
 from train import enjoy
 
 # One control step from the same state, float64 against MJX's float32, in contact (see test_parity).
-QPOS, OBS, REWARD, FORCE = 1e-5, 2e-4, 2e-3, 5e-4  # [rad], mixed, -, [N] or share of the force
+QPOS, OBS, REWARD, FORCE = 1e-5, 5e-4, 2e-3, 5e-4  # [rad], mixed (forces in N), -, [N] or share of the force
 
 
 @pytest.fixture(scope="module")
@@ -54,14 +54,21 @@ def test_the_same_key_begins_the_same_episode_as_in_mjx(native: agym_jax.Env, ba
         for name in ("reward", "done", "metrics", "task", "episode"):
             _close(getattr(mine, name), getattr(theirs, name), 1e-5)
         np.testing.assert_array_equal(mine.key, theirs.key)
-        for name in MOTION:
-            np.testing.assert_allclose(getattr(mine.data, name), getattr(theirs.data, name))
+        for name, theirs_now in _motion(native, theirs).items():
+            np.testing.assert_allclose(getattr(mine.data, name), theirs_now)
 
 
-def _as_native(state: Any, make_data: Any) -> Any:
-    """A state of MJX with the same numbers in C MuJoCo's data."""
+def _motion(native: agym_jax.Env, state: Any) -> dict[str, np.ndarray]:
+    """The fields of a state of MJX that decide what happens next, as C MuJoCo keeps them: a sparse inertia."""
     numbers = {name: np.asarray(getattr(state.data, name)) for name in MOTION}
-    return state.replace(data=make_data.replace(**numbers), info={})
+    model = native.scene.model
+    rows = np.repeat(np.arange(model.nv), model.M_rownnz)
+    return numbers | {"M": numbers["M"][rows, model.M_colind]}
+
+
+def _as_native(native: agym_jax.Env, state: Any, make_data: Any) -> Any:
+    """A state of MJX with the same numbers in C MuJoCo's data."""
+    return state.replace(data=make_data.replace(**_motion(native, state)), info={})
 
 
 @pytest.mark.jit
@@ -79,7 +86,7 @@ def test_every_step_of_a_pressing_robot_is_mjxs(native: agym_jax.Env, batch: Com
         state = batch.step(state, action)
         for i in WATCHED if t >= APPROACH else ():
             mine, theirs = (
-                native.step(_as_native(one(before, i), make_data), action[i]),
+                native.step(_as_native(native, one(before, i), make_data), action[i]),
                 one(state, i),
             )
             force, their_force = (

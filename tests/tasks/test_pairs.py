@@ -28,6 +28,8 @@ SIZES = {
 }  # fmt: skip
 ONE_ARMED = ("Jaco", "Sawyer")
 DEEPEST = 0.002  # [m]
+# A fall ends after AG's 2 s; some arms still come to rest then, and the body rocks on the mattress [m]
+NEAREST = {"right_upper_arm": 0.03, "hips": 0.006}
 
 
 def test_ids_are_the_product_of_tasks_robots_and_people():
@@ -89,8 +91,8 @@ def test_nobody_begins_inside_of_anything(task: str, robot: str):
         deepest = min((c.dist for c in data.contact), default=0.0)
         assert deepest > -DEEPEST, (sex, scale, deepest)
         if recipe.task.human.postures:  # trunk and arm are borne by the mattress
-            for link in ("right_upper_arm", "hips"):
-                assert _gap(model, data, link, recipe.task.seat.geoms) < DEEPEST, (sex, scale, link)
+            for link, near in NEAREST.items():
+                assert _gap(model, data, link, recipe.task.seat.geoms) < near, (sex, scale, link)
 
 
 def _gap(model: mujoco.MjModel, data: mujoco.MjData, link: str, seat: tuple[str, ...]) -> float:

@@ -104,22 +104,57 @@ def _success(line: Line) -> str:
     return f"{line['success']:.0%} ({line['success_low']:.0%} to {line['success_high']:.0%})"
 
 
+def shipped() -> set[str]:
+    """Ids whose policies are in the package; results of others are kept, but not shown as theirs."""
+    return {path.stem for path in (ROOT / "assets" / "policies").glob("*.npz")}
+
+
 def policies(folder: Path = RESULTS) -> str:
-    """What shipped policies achieve: the mode's figures, and the sampled policy's success."""
+    """What shipped policies achieve: the mode's figures."""
     lines = read_results("evaluation", ("env", "policy"), folder)
-    sampled = {x["env"]: x for x in lines if x["policy"] == "sampled"}
     columns = {
         "environment": lambda x: x["env"],
         "episodes": lambda x: f"{x['episodes']:,}",
         "return": lambda x: f"{x['return_mean']:.1f} ± {x['return_std']:.1f}",
         "mean force on the person": lambda x: f"{x['force_mean']:.2f} N",
         "success (95 % interval)": _success,
-        "success, sampled actions": lambda x: (
-            _success(sampled[x["env"]]) if x["env"] in sampled else ""
-        ),
     }
-    mode = [x for x in lines if x["policy"] == "mode"]
-    return table(mode, columns, itemgetter("env"), "Deterministic policy (mode) unless noted;")
+    mode = [x for x in lines if x["policy"] == "mode" and x["env"] in shipped()]
+    return table(mode, columns, itemgetter("env"), "Deterministic policy (mode);")
+
+
+def selections(folder: Path = RESULTS) -> str:
+    """What all seeds of a setting achieve, and the one that was chosen, over other people."""
+    share = lambda value: f"{value:.1%}"  # noqa: E731
+    columns = {
+        "environment": lambda x: x["env"],
+        "steps of each seed": lambda x: f"{x['num_env_steps'] / 1e6:g} M",
+        "success of each seed": lambda x: ", ".join(map(share, x["success_of_seeds"])),
+        "interquartile mean (95 % interval)": lambda x: (
+            f"{share(x['success_iqm'])} ({share(x['success_iqm_low'])} to {share(x['success_iqm_high'])})"
+        ),
+        "worst": lambda x: share(min(x["success_of_seeds"])),
+        "chosen seed, over other people": lambda x: f"{x['chosen']}: {share(x['chosen_success'])}",
+    }
+    lines = read_results("selection", ("env",), folder)
+    return table(lines, columns, itemgetter("env"), "1,000 episodes of each seed, mode;")
+
+
+def sweeps(folder: Path = RESULTS) -> str:
+    """Success of the settings that were compared, at the end of training."""
+    rows = [
+        {**x, "rank": i, **setting}
+        for x in read_results("sweeps", ("env",), folder)
+        for i, setting in enumerate(x["ranking"])
+    ]
+    columns = {
+        "environment": lambda x: x["env"],
+        "setting": lambda x: ", ".join(f"{k} {v:g}" for k, v in x["setting"].items()),
+        "success while training": lambda x: f"{x['success_iqm']:.1%}",
+        "return": lambda x: f"{x['return_iqm']:.1f}",
+    }
+    note = "One seed each, 12 million steps in 2,048 environments, side by side in one program;"
+    return table(rows, columns, itemgetter("env", "rank"), note)
 
 
 def together(folder: Path = RESULTS) -> str:
@@ -142,7 +177,7 @@ def together(folder: Path = RESULTS) -> str:
         "same robot, passive person": lambda x: other(still, x["env"]),
         "robot trained with a passive person": lambda x: other(trained_so, static_id(x["env"])),
     }
-    both = [x for x in lines if x["human_policy"] is not None]
+    both = [x for x in lines if x["human_policy"] is not None and x["env"] in shipped()]
     note = "Deterministic policies (mode); last two columns: success, return;"
     return table(both, columns, itemgetter("env"), note)
 
@@ -242,7 +277,7 @@ def pulls(folder: Path = RESULTS) -> str:
 def success(folder: Path = RESULTS) -> str:
     """How often shipped policies succeed, by task and robot."""
     lines = read_results("evaluation", ("env", "policy"), folder)
-    mode = [x for x in lines if x["policy"] == "mode"]
+    mode = [x for x in lines if x["policy"] == "mode" and x["env"] in shipped()]
     usual = mode and Counter(x["episodes"] for x in mode).most_common(1)[0][0]
 
     def cell(x: Line) -> str:
@@ -332,6 +367,8 @@ TABLES: dict[str, Callable[..., str]] = {
     "throughput": throughput,
     "compile": compilation,
     "policies": policies,
+    "selections": selections,
+    "sweeps": sweeps,
     "together": together,
     "seeds": seeds,
     "training-speed": training_speed,

@@ -78,7 +78,11 @@ class BaseSearch:
     spread: float = 0.5  # [m]
     side: float = -1.0  # which way is away from the person along x
     yaw: float = 0.0  # about which the base turns [rad]
-    pivot: Vec3 = (0.0, 0.0, 0.0)  # in the base's frame, what is put there and turns on the spot [m]
+    pivot: Vec3 = (
+        0.0,
+        0.0,
+        0.0,
+    )  # in the base's frame, what is put there and turns on the spot [m]
 
 
 @dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical

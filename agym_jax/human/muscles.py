@@ -87,15 +87,19 @@ class Muscles(NamedTuple):
         return passive + xp.minimum(xp.maximum(wanted, -self.bound), self.bound)
 
 
-def as_bullet(q: Any, v: Any, limits: Any, time_step: float, xp: Any = jnp) -> tuple[Any, Any]:
+def as_bullet(
+    q: Any, v: Any, inertia: Any, limits: Any, time_step: float, xp: Any = jnp
+) -> tuple[Any, Any]:
     """Joints of a person with AG's masses after a physics step: slowed by the drag, and stopped at limits.
 
-    As in AG env.py (``enforce_hard_human_joint_limits``) a joint beyond its limit is put back with no velocity; the
-    others keep theirs. The drag is Bullet's of each link, taken joint by joint.
+    Bullet's constraint lets a joint get as far as its limit in a physics step and no farther, with an impulse that the
+    other joints feel; AG env.py (``enforce_hard_human_joint_limits``) puts back what is beyond it nevertheless. A step
+    of MuJoCo that has led beyond limits is corrected to that. The drag is Bullet's of each link, taken joint by joint.
 
     Args:
         q: angles [rad] (n,).
-        v: velocities [rad/s] (n,).
+        v: velocities, with which ``q`` was integrated [rad/s] (n,).
+        inertia: of the joints [kg m2] (n, n).
         limits: lower and upper [rad] (n, 2).
         time_step: of the physics [s].
         xp: numpy or jax.numpy.
@@ -104,9 +108,14 @@ def as_bullet(q: Any, v: Any, limits: Any, time_step: float, xp: Any = jnp) -> t
         angles and velocities (n,).
     """
     low, high = limits[:, 0], limits[:, 1]
-    inside = (q >= low) & (q <= high)
+    beyond = q - xp.clip(q, low, high)
+    stopped = xp.where(beyond != 0.0, 1.0, 0.0)
+    mobility = xp.linalg.inv(inertia)
+    among = mobility * stopped[:, None] * stopped + xp.diag(1.0 - stopped)
+    change = -mobility @ (stopped * xp.linalg.solve(among, beyond / time_step))
+    v = v + change
     slowed = v * (1.0 - time_step * DRAG * (1.0 + abs(v)))
-    return xp.clip(q, low, high), xp.where(inside, slowed, 0.0)
+    return xp.clip(q + time_step * change, low, high), slowed
 
 
 def muscles_of(

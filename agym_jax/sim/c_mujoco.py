@@ -192,7 +192,7 @@ class NativePhysics:
                 if self.controller.at_joints:
                     q, v = d.qpos[index.human_qpos], d.qvel[index.human_dof]
                     limits = self.model.jnt_range[index.human_joint]
-                    after = self.controller.after_step(q, v, limits, np)
+                    after = self.controller.after_step(q, v, d.M, limits, np)
                     d.qpos[index.human_qpos], d.qvel[index.human_dof] = after
                 sensors.append(d.sensordata.copy())
                 samples.append(sample_poses(index, d, np))

@@ -18,7 +18,7 @@ from jax import Array
 from agym_jax.human import body, limits, muscles
 from agym_jax.human.population import Human
 from agym_jax.sim.index import Index
-from agym_jax.sim.motors import Motors
+from agym_jax.sim.motors import InertiaBlock, Motors
 from agym_jax.sim.scene import Scene
 from agym_jax.spec import HumanSpec, Task
 from agym_jax.state import Episode
@@ -55,6 +55,7 @@ class Controller:
     robot_range: np.ndarray  # joint limits [rad]                             (n_arm, 2)
     arm_limits: limits.ArmLimits
     arms: tuple[tuple[np.ndarray, float], ...]  # rows of an arm's four joints, 1 right or -1 left
+    human_inertia: InertiaBlock  # of the person's joints
     time_step: float = 0.0  # of the physics [s]
     at_joints: bool = False  # whether people have AG's masses, see ``muscles.as_bullet``
 
@@ -76,6 +77,7 @@ class Controller:
             robot_range=np.array(scene.model.jnt_range[scene.index.robot_joint], np.float32),
             arm_limits=limits.load_arm_limits(),
             arms=tuple(arms),
+            human_inertia=InertiaBlock.of(scene.model, scene.index.human_dof),
             time_step=task.control.time_step,
             at_joints=masses == "ag" and bool(names),
         )
@@ -153,9 +155,20 @@ class Controller:
             torque = torque.at[arm].set(push)
         return torque
 
-    def after_step(self, q: Any, v: Any, limits: Any, xp: Any = jnp) -> tuple[Any, Any]:
-        """The person's joints after a physics step, see ``muscles.as_bullet``; only if ``at_joints``."""
-        return muscles.as_bullet(q, v, limits, self.time_step, xp)
+    def after_step(
+        self, q: Any, v: Any, matrix: Any, limits: Any, xp: Any = jnp
+    ) -> tuple[Any, Any]:
+        """The person's joints after a physics step, see ``muscles.as_bullet``; only if ``at_joints``.
+
+        Args:
+            q: angles [rad] (n_person,).
+            v: velocities [rad/s] (n_person,).
+            matrix: of inertia, of the whole scene, as the physics keeps it.
+            limits: of the joints [rad] (n_person, 2).
+            xp: numpy or jax.numpy.
+        """
+        inertia = self.human_inertia.read(matrix, xp)
+        return muscles.as_bullet(q, v, inertia, limits, self.time_step, xp)
 
     def within_limits(self, q: np.ndarray) -> bool:
         """Whether ``limit_torque`` is zero, and need not be computed; in NumPy, float32."""

@@ -132,8 +132,9 @@ class MjxPhysics:
             data = mjx.step(model.replace(dof_solref=solref), data)
             if self.controller.at_joints:
                 human_q, human_v = index.human_qpos, index.human_dof
+                limits = model.jnt_range[index.human_joint]
                 q, v = self.controller.after_step(
-                    data.qpos[human_q], data.qvel[human_v], model.jnt_range[index.human_joint]
+                    data.qpos[human_q], data.qvel[human_v], data._impl.M, limits
                 )
                 data = data.replace(
                     qpos=data.qpos.at[human_q].set(q), qvel=data.qvel.at[human_v].set(v)

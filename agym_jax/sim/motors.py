@@ -50,6 +50,31 @@ class Drive(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)  # has arrays in it: equal if identical
+class InertiaBlock:
+    """Where some joints' part of the inertia matrix is: MuJoCo keeps it sparse, MJX dense or sparse."""
+
+    dofs: np.ndarray  # of the joints                                         (n,)
+    entries: np.ndarray  # where it is in the sparse matrix                   (n, n)
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, dofs: np.ndarray) -> InertiaBlock:
+        """Of the joints with these dofs."""
+        entries = np.full((model.nv, model.nv), model.nC)  # one past the end is 0
+        for row in range(model.nv):
+            begin = model.M_rowadr[row]
+            for at in range(begin, begin + model.M_rownnz[row]):  # lower triangle
+                column = model.M_colind[at]
+                entries[row, column] = entries[column, row] = at
+        return cls(dofs, entries[np.ix_(dofs, dofs)])
+
+    def read(self, matrix: Any, xp: Any = jnp) -> Any:
+        """That part of a matrix of either form [kg m2] (n, n)."""
+        if matrix.ndim == 2:
+            return matrix[np.ix_(self.dofs, self.dofs)]
+        return xp.concatenate([matrix, xp.zeros(1, matrix.dtype)])[self.entries]
+
+
+@dataclass(frozen=True, eq=False)  # has arrays in it: equal if identical
 class Motors:
     """The motors of one scene, in action order: pure functions of one environment."""
 
@@ -59,18 +84,11 @@ class Motors:
     impedance: np.ndarray  # of the constraints                               (n,)
     dofs: np.ndarray  # of the joints                                         (n,)
     qpos: np.ndarray  # addresses of their angles                             (n,)
-    entries: np.ndarray  # where the inertia is in MuJoCo's sparse matrix     (n, n)
+    block: InertiaBlock  # the joints' part of the inertia
 
     @classmethod
     def of(cls, model: mujoco.MjModel, dofs: np.ndarray, control: Control) -> Motors:
         """Of the joints with these dofs, in a model that ``add_motors`` and ``stiffen_motors`` have seen."""
-        entries = np.full((model.nv, model.nv), model.nC)  # one past the end is 0
-        for row in range(model.nv):
-            for at in range(
-                model.M_rowadr[row], model.M_rowadr[row] + model.M_rownnz[row]
-            ):  # lower triangle
-                column = model.M_colind[at]
-                entries[row, column] = entries[column, row] = at
         return cls(
             rate=control.rate,
             time_step=control.time_step,
@@ -78,14 +96,12 @@ class Motors:
             impedance=model.dof_solimp[dofs, 1].astype(np.float32),
             dofs=dofs,
             qpos=model.jnt_qposadr[model.dof_jntid[dofs]],
-            entries=entries[np.ix_(dofs, dofs)],
+            block=InertiaBlock.of(model, dofs),
         )
 
     def inertia(self, matrix: Any, xp: Any = jnp) -> Any:
         """The joints' part of the inertia matrix, however the physics keeps it [kg m2] (n, n)."""
-        if matrix.ndim == 2:
-            return matrix[np.ix_(self.dofs, self.dofs)]
-        return xp.concatenate([matrix, xp.zeros(1, matrix.dtype)])[self.entries]
+        return self.block.read(matrix, xp)
 
     def drive(self, inertia: Any, q: Any, v: Any, goal: Any, xp: Any = jnp) -> Drive:
         """What to do in the next physics step.

@@ -18,6 +18,7 @@ import numpy as np
 from agym_jax.human import anthropometry, body, muscles
 from agym_jax.human import pose as human_pose
 from agym_jax.robots import ROBOTS
+from agym_jax.sim.motors import InertiaBlock
 from agym_jax.sim.scene import Scene, build_scene
 from agym_jax.tasks import TASKS
 from benchmarks.parity.row import Row, traces
@@ -100,7 +101,9 @@ class Person:
             return
         index, model = self.scene.index, self.model
         q, v = data.qpos[index.human_qpos], data.qvel[index.human_dof]
-        after = muscles.as_bullet(q, v, model.jnt_range[index.human_joint], model.opt.timestep, np)
+        inertia = InertiaBlock.of(model, index.human_dof).read(data.M, np)
+        limits = model.jnt_range[index.human_joint]
+        after = muscles.as_bullet(q, v, inertia, limits, model.opt.timestep, np)
         data.qpos[index.human_qpos], data.qvel[index.human_dof] = after
 
     def load(self, q: np.ndarray) -> np.ndarray:

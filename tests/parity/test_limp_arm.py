@@ -59,7 +59,18 @@ def test_arm_rests_where_ags_does(sex: int, at_joints: bool):
 def test_a_joint_beyond_its_limit_is_put_back_and_the_rest_slows_down():
     from agym_jax.human.muscles import as_bullet
 
-    limits = np.array([[-1.0, 1.0], [-1.0, 1.0]])
-    q, v = as_bullet(np.array([1.1, 0.0]), np.array([2.0, 1.0]), limits, 0.02, np)
-    np.testing.assert_allclose(q, [1.0, 0.0])
-    np.testing.assert_allclose(v, [0.0, 1.0 - 0.02 * 0.08])
+    limits, h = np.array([[-1.0, 1.0], [-1.0, 1.0]]), 0.02
+    before, drag = np.array([2.0, 1.0]), lambda v: v * (1.0 - h * 0.04 * (1.0 + abs(v)))
+    q, v = as_bullet(np.array([1.01, 0.0]), before, np.eye(2), limits, h, np)
+    np.testing.assert_allclose(q, [1.0, 0.0])  # no farther than the limit in this step
+    np.testing.assert_allclose(v, drag(np.array([2.0 - 0.01 / h, 1.0])))
+    # the impulse that stops one joint moves what hangs on it: the momentum of the other stays
+    inertia = np.array([[2.0, 0.5], [0.5, 1.0]])
+    q, v = as_bullet(np.array([1.01, 0.0]), before, inertia, limits, h, np)
+    change = np.linalg.solve(inertia, np.array([1.0, 0.0]))
+    change *= -0.01 / h / change[0]
+    np.testing.assert_allclose(v, drag(before + change))
+    np.testing.assert_allclose(q, [1.0, h * change[1]])
+    # nothing at a limit: nothing stops
+    _, free = as_bullet(np.zeros(2), before, inertia, limits, h, np)
+    np.testing.assert_allclose(free, drag(before))

@@ -29,7 +29,12 @@ from agym_jax.wrappers import vectorize
 from train import enjoy
 
 # One control step from the same state, float64 against MJX's float32, in contact (see test_parity).
-QPOS, OBS, REWARD, FORCE = 1e-5, 5e-4, 2e-3, 5e-4  # [rad], mixed (forces in N), -, [N] or share of the force
+QPOS, OBS, REWARD, FORCE = (
+    1e-5,
+    5e-4,
+    2e-3,
+    5e-4,
+)  # [rad], mixed (forces in N), -, [N] or share of the force
 
 
 @pytest.fixture(scope="module")

@@ -172,7 +172,7 @@ class _Shadow:
         goal = np.asarray(
             self.env.controller.targets(before.episode, before.data.qpos, action).goal
         )
-        d.M[motors.entries] = np.asarray(motors.inertia(before.data._impl.M))
+        d.M[motors.block.entries] = np.asarray(motors.inertia(before.data._impl.M))
         held = jnp.asarray(before.data.qpos)[index.human_qpos]
         target, _ = self.env.controller.human_target(before.episode, held, jnp.zeros(0))
         touch, contacts = no_contacts(index), 0

@@ -23,7 +23,7 @@ SHARED = {"batch": COMPILED, "rollout": COMPILED}
 """Fixtures that compile an environment -> group that their tests must be in."""
 SECONDS = {
     COMPILED: 150, "tests/train/test_coop.py": 120, "tests/sim/test_c_mujoco.py": 90,
-    "tests/tasks/test_dressing.py": 60, "tests/matter/test_cloth_kernel.py": 50,
+    "tests/train/test_seeds.py": 70, "tests/tasks/test_dressing.py": 60, "tests/matter/test_cloth_kernel.py": 50,
     "tests/offline/test_base_search.py": 50, "tests/tasks/test_meals.py": 40,
     "tests/matter/test_containers.py": 35, "tests/train/test_ppo.py": 30,
     "tests/matter/test_cloth.py": 30, "tests/matter/test_particles.py": 30,
@@ -34,7 +34,7 @@ SLOW_SECONDS = {
     "tests/docs/test_docs.py": 210, "tests/docs/test_brax_page.py": 190,
     "tests/adapters/test_brax.py": 150, "tests/test_wheel.py": 150,
     "tests/tasks/test_meals.py": 40, "tests/adapters/test_gymnasium.py": 35,
-    "tests/train/test_coop.py": 30, "tests/train/test_ppo.py": 15,
+    "tests/train/test_coop.py": 30, "tests/train/test_seeds.py": 45, "tests/train/test_ppo.py": 15,
 }  # fmt: skip
 """The same of the tests that are marked slow."""
 

@@ -44,7 +44,9 @@ def weights(policies):
     ])  # fmt: skip
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", ["ppo", *(pytest.param(x, marks=pytest.mark.slow) for x in CASES if x != "ppo")]
+)
 def test_each_of_several_seeds_learns_as_it_would_alone(case):
     train, make, kind, changes = CASES[case]
     config = kind(**SETTINGS | changes)

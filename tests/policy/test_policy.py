@@ -93,8 +93,9 @@ def test_a_missing_policy_lists_what_is_there(tmp_path, policy):
 SHIPPED = sorted((asset_root() / "policies").glob("*.npz"))
 
 
-def test_jaco_ships_with_a_policy_for_every_task():
-    assert {file.stem for file in SHIPPED} >= {f"{task}Jaco-v0" for task in TASKS}
+def test_jaco_ships_with_a_policy_for_every_task_that_it_has_learned():
+    learned = set(TASKS) - {"BedBathing"}  # docs/benchmarks.md: 14 % after 6 million steps
+    assert {file.stem for file in SHIPPED} >= {f"{task}Jaco-v0" for task in learned}
 
 
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)

@@ -281,6 +281,7 @@ def test_brax_ppo_learns():
     assert action[0, 0] > 0.2 and action[1, 0] < -0.2
 
 
+@pytest.mark.slow
 def test_brax_sac_learns():
     _, _, metrics = sac.train(
         GuessEnv(),

@@ -119,7 +119,7 @@ def test_every_step_of_a_pressing_robot_is_mjxs(native: agym_jax.Env, batch: Com
     "name",
     [
         "BedBathingSawyer-v0",
-        ACTIVE,
+        pytest.param(ACTIVE, marks=pytest.mark.slow),
         pytest.param("ArmManipulationBaxter-v0", marks=pytest.mark.slow),
         pytest.param("ReachingPR2-v0", marks=pytest.mark.slow),
     ],

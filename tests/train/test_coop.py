@@ -181,7 +181,13 @@ def test_a_central_critic_reads_both_and_a_policy_never_does():
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(run.learner.agents))
 
 
-@CRITICS
+@pytest.mark.parametrize(
+    "central",
+    [
+        pytest.param(False, id="own critic", marks=pytest.mark.slow),
+        pytest.param(True, id="central critic"),
+    ],
+)
 def test_value_functions_read_what_is_hidden_and_policies_never_do(central):
     env = FakePairEnv(privileged_obs_size=1)
     config = dataclasses.replace(SMALL, central_critic=central)
@@ -204,6 +210,7 @@ def test_value_functions_read_what_is_hidden_and_policies_never_do(central):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(run.learner.agents))
 
 
+@pytest.mark.slow
 def test_one_learner_reads_what_is_hidden_too():
     env = FakePairEnv(active=False, privileged_obs_size=1)
     config = PPOConfig(**{k: getattr(SMALL, k) for k in ("num_envs", "num_mini_batch")})

@@ -138,6 +138,7 @@ def test_if_all_seeds_diverge_the_run_stops(monkeypatch):
         ppo.train(FakeEnv(), PPOConfig(**SETTINGS, num_seeds=2))
 
 
+@pytest.mark.slow
 def test_stepwise_environments_take_several_seeds_too():
     venv = StepwiseEnv(vectorize(FakeEnv(), 32))
     by_steps = ppo.train(venv, PPOConfig(**SETTINGS, num_seeds=2))

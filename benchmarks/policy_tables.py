@@ -1,0 +1,127 @@
+"""Tables of ``benchmarks.tables`` about policies: what those that ship achieve, how they were chosen, who gets along."""
+
+from __future__ import annotations
+
+from collections import Counter
+from operator import itemgetter
+from pathlib import Path
+
+from agym_jax.data.assets import asset_root
+from agym_jax.registry import static_id
+from benchmarks.markdown import NOTHING, RESULTS, Line, grid, matrix, read_results, several, table
+
+
+def _success(line: Line) -> str:
+    """Share of successes and its 95 % interval."""
+    return f"{line['success']:.0%} ({line['success_low']:.0%} to {line['success_high']:.0%})"
+
+
+def shipped() -> set[str]:
+    """Ids whose policies are in the package; results of others are kept, but not shown as theirs."""
+    return {path.stem for path in (asset_root() / "policies").glob("*.npz")}
+
+
+def success(folder: Path = RESULTS) -> str:
+    """How often shipped policies succeed, by task and robot."""
+    lines = read_results("evaluation", ("env", "policy"), folder)
+    mode = [x for x in lines if x["policy"] == "mode" and x["env"] in shipped()]
+    usual = mode and Counter(x["episodes"] for x in mode).most_common(1)[0][0]
+
+    def cell(x: Line) -> str:
+        return f"{x['success']:.0%}" + (f" of {x['episodes']:,}" if x["episodes"] != usual else "")
+
+    return matrix(
+        mode, cell, f"Success rate of the shipped policies, {usual:,} episodes each unless noted;"
+    )
+
+
+def policies(folder: Path = RESULTS) -> str:
+    """What shipped policies achieve: the mode's figures."""
+    lines = read_results("evaluation", ("env", "policy"), folder)
+    columns = {
+        "environment": lambda x: x["env"],
+        "episodes": lambda x: f"{x['episodes']:,}",
+        "return": lambda x: f"{x['return_mean']:.1f} ± {x['return_std']:.1f}",
+        "mean force on the person": lambda x: f"{x['force_mean']:.2f} N",
+        "success (95 % interval)": _success,
+    }
+    mode = [x for x in lines if x["policy"] == "mode" and x["env"] in shipped()]
+    return table(mode, columns, itemgetter("env"), "Deterministic policy (mode);")
+
+
+def selections(folder: Path = RESULTS) -> str:
+    """What all seeds of a setting achieve, and the one that was chosen, over other people."""
+    share = lambda value: f"{value:.1%}"  # noqa: E731
+    columns = {
+        "environment": lambda x: x["env"],
+        "steps of each seed": lambda x: f"{x['num_env_steps'] / 1e6:g} M",
+        "success of each seed": lambda x: ", ".join(map(share, x["success_of_seeds"])),
+        "interquartile mean (95 % interval)": lambda x: (
+            f"{share(x['success_iqm'])} ({share(x['success_iqm_low'])} to {share(x['success_iqm_high'])})"
+        ),
+        "worst": lambda x: share(min(x["success_of_seeds"])),
+        "chosen seed, over other people": lambda x: f"{x['chosen']}: {share(x['chosen_success'])}",
+    }
+    lines = read_results("selection", ("env",), folder)
+    return table(lines, columns, itemgetter("env"), "1,000 episodes of each seed, mode;")
+
+
+def sweeps(folder: Path = RESULTS) -> str:
+    """Success of the settings that were compared, at the end of training."""
+    rows = [
+        {**x, "rank": i, **setting}
+        for x in read_results("sweeps", ("env",), folder)
+        for i, setting in enumerate(x["ranking"])
+    ]
+    columns = {
+        "environment": lambda x: x["env"],
+        "seeds": lambda x: x["num_seeds"],
+        "steps of each": lambda x: f"{x['num_env_steps'] / 1e6:g} M",
+        "parallel envs of each": lambda x: f"{x['num_envs']:,}",
+        "setting": lambda x: ", ".join(f"{k} {v:g}" for k, v in x["setting"].items()),
+        "success while training": lambda x: f"{x['success_iqm']:.1%}",
+        "return": lambda x: f"{x['return_iqm']:.1f}",
+    }
+    return table(rows, columns, itemgetter("env", "rank"), "All side by side in one program;")
+
+
+def together(folder: Path = RESULTS) -> str:
+    """What robots and people who learned together achieve, and a robot that learned without such a person."""
+    lines = read_results("crossplay", ("env", "human_policy"), folder)
+    alone = read_results("evaluation", ("env", "policy"), folder)
+    robots = {x["env"]: x for x in alone if x["policy"] == "mode" and x["env"] in shipped()}
+
+    def robot(env: str) -> str:
+        x = robots.get(static_id(env))
+        return f"{x['success']:.0%}, {x['return_mean']:.0f}" if x else ""
+
+    columns = {
+        "environment": lambda x: x["env"],
+        "episodes": lambda x: f"{x['episodes']:,}",
+        "success (95 % interval)": _success,
+        "return": lambda x: f"{x['return_mean']:.0f} ± {x['return_std']:.0f}",
+        "mean force on the person": lambda x: f"{x['force_mean']:.1f} N",
+        "robot trained with a passive person": lambda x: robot(x["env"]),
+    }
+    both = [x for x in lines if x["human_policy"] is not None and x["env"] in shipped()]
+    note = "Deterministic policies (mode); last column: success, return;"
+    return table(both, columns, itemgetter("env"), note)
+
+
+def seeds(folder: Path = RESULTS) -> str:
+    """How robots and people of different trainings of the same pair get along."""
+    lines = read_results("seeds", ("env", "robot_policy", "human_policy"), folder)
+    if not lines:
+        return NOTHING
+    of = {(x["robot_policy"], x["human_policy"]): x for x in lines}
+    robots, humans = ({x[name]: None for x in lines} for name in ("robot_policy", "human_policy"))
+
+    def cell(robot: str, human: str | None) -> str:
+        return f"{of[robot, human]['success']:.0%}, {of[robot, human]['return_mean']:.0f}"
+
+    head = ["robot \\ person", *(human or "passive" for human in humans)]
+    rows = [[robot, *(cell(robot, human) for human in humans)] for robot in robots]
+    env = several(x["env"] for x in lines if x["human_policy"])
+    episodes = several(f"{x['episodes']:,}" for x in lines)
+    note = f"{env}: success, return; {episodes} episodes each;"
+    return grid([head, *rows], lines, note)

@@ -98,6 +98,11 @@ class LearnConfig:
     """Clipping range of the probability ratio, and of the value with clip_value_loss."""
     clip_value_loss: bool = True
     """Clip the change of the value prediction too."""
+    recompute_advantages: bool = False
+    """Estimate advantages and value targets anew before every pass over the data."""
+    target_kl: float = 0.0
+    """Divergence of policies at which the learning rate is kept: it falls where a gradient step finds more
+    than twice as much, and rises where less than half; 0 = it does not adapt."""
     value_loss_coef: float = 0.5
     """Weight of the value loss (which itself carries another 0.5)."""
     entropy_coef: float = 0.0

@@ -125,7 +125,7 @@ def test_the_first_loss_of_an_update_has_ratio_one(distribution):
     }
     hyper = Hyper.of(config, 800)
     loss, scalars = ppo_loss(
-        agent.params, agent.normalizer, data, jax.random.PRNGKey(3), hyper, networks, 0.0, True
+        agent.params, agent.normalizer, data, jax.random.PRNGKey(3), hyper, networks, 0.0
     )
     assert set(scalars) == set(LOSSES)
     np.testing.assert_allclose(scalars["policy_loss"], -0.5, atol=1e-5)

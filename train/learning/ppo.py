@@ -31,6 +31,7 @@ from ..configs import LearnConfig
 from .rollout import Batch
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
+RATE_FACTORS = (0.02, 4.0)  # what ``adapt_rate`` may make of the learning rate
 LOSSES = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction", "noise_std")
 
 
@@ -53,6 +54,9 @@ class Hyper:
     max_grad_norm: Any
     eps: Any
     reward_scaling: Any
+    clip_value_loss: Any  # 1: clip the change of the value prediction too
+    recompute_advantages: Any  # 1: before every pass over the data, with the values of then
+    target_kl: Any  # divergence of a gradient step's mini-batch that the learning rate aims at; 0: it does not
     learns: Any  # 0: one of several trainings that has been stopped
 
     @classmethod
@@ -79,6 +83,9 @@ class Hyper:
             "max_grad_norm": config.max_grad_norm,
             "eps": config.eps,
             "reward_scaling": config.reward_scaling,
+            "clip_value_loss": config.clip_value_loss,
+            "recompute_advantages": config.recompute_advantages,
+            "target_kl": config.target_kl,
             "learns": 1.0,
         }
         return cls(**{name: np.float32(value) for name, value in values.items()})
@@ -95,6 +102,7 @@ class AgentState:
     returns: running_statistics.RunningStatisticsState  # of the discounted return
     env_steps: jax.Array  # environment steps so far; the learning rate follows it    ()
     updates: jax.Array  # updates so far    ()
+    rate_factor: jax.Array  # on the learning rate, see ``LearnConfig.target_kl``    ()
     critic_normalizer: Any = None  # of what the value function reads; None where that is the same
 
 
@@ -141,6 +149,7 @@ def init_agent(
         returns=statistics(jnp.zeros(())),
         env_steps=jnp.zeros((), jnp.uint32),
         updates=jnp.zeros((), jnp.int32),
+        rate_factor=jnp.ones(()),
         critic_normalizer=None if critic_size is None else statistics(jnp.zeros(critic_size)),
     )
     return strong(
@@ -208,7 +217,6 @@ def ppo_loss(
     hyper: Hyper,
     networks: Any,
     entropy_coef: float | jax.Array,
-    clip_value_loss: bool,
     critic_normalizer: Any = None,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Clipped surrogate, (clipped) value loss and entropy bonus of one mini-batch.
@@ -222,7 +230,6 @@ def ppo_loss(
         hyper: hyper-parameters.
         networks: from ``make_networks``.
         entropy_coef: weight of the entropy, now.
-        clip_value_loss: whether the change of the value prediction is clipped too.
         critic_normalizer: statistics of ``critic_obs``; None if the value function reads ``obs``.
 
     Returns:
@@ -241,9 +248,9 @@ def ppo_loss(
         read = (critic_normalizer, data["critic_obs"])
     value = networks.value_network.apply(read[0], params.value, read[1])
     error = (value - data["target"]) ** 2
-    if clip_value_loss:
-        change = jnp.clip(value - data["value"], -hyper.clip_param, hyper.clip_param)
-        error = jnp.maximum(error, (data["value"] + change - data["target"]) ** 2)
+    change = jnp.clip(value - data["value"], -hyper.clip_param, hyper.clip_param)
+    clipped = jnp.maximum(error, (data["value"] + change - data["target"]) ** 2)
+    error = jnp.where(hyper.clip_value_loss > 0, clipped, error)
     value_loss = 0.5 * jnp.mean(error)
 
     entropy = jnp.mean(distribution.entropy(logits, key))
@@ -257,6 +264,16 @@ def ppo_loss(
         "noise_std": jnp.mean(distribution.create_dist(logits).scale),
     }
     return loss, scalars
+
+
+def adapt_rate(factor: jax.Array, kl: jax.Array, target: jax.Array) -> jax.Array:
+    """The factor on the learning rate after a gradient step that moved the policy by ``kl``.
+
+    Schulman et al. 2017 adapt a penalty by the same rule, Rudin et al. 2022 the learning rate.
+    """
+    factor = jnp.where((target > 0) & (kl > 2 * target), factor / 1.5, factor)
+    factor = jnp.where((target > 0) & (kl < target / 2), factor * 1.5, factor)
+    return jnp.clip(factor, RATE_FACTORS[0], RATE_FACTORS[1])
 
 
 def batch_steps(batch: Batch, axis: str | None) -> int:
@@ -302,50 +319,61 @@ def learn(
         reward = jnp.clip(reward / std, -REWARD_CLIP, REWARD_CLIP)
 
     statistics = agent.critic_normalizer or agent.normalizer
-    values, next_values = values_of(
-        lambda obs: networks.value_network.apply(statistics, agent.params.value, obs), batch, last
-    )
-    advantage = compute_gae(
-        reward, values, next_values, batch.done, hyper.gamma, hyper.gae_discount
-    )
-    centred = advantage - mean(advantage.mean())
-    data = {
-        "obs": batch.obs,
-        "raw_action": batch.raw_action,
-        "log_prob": batch.log_prob,
-        "value": values,
-        "target": advantage + values,
-        "advantage": centred / (jnp.sqrt(mean(jnp.mean(centred**2))) + 1e-5),
-    }
+    size = reward.size
+
+    def flat(leaves: dict[str, jax.Array]) -> dict[str, jax.Array]:
+        return {name: leaf.reshape(size, *leaf.shape[2:]) for name, leaf in leaves.items()}
+
+    def estimate(params: Any) -> dict[str, jax.Array]:
+        """Values and normalised advantages, by these parameters of the value function."""
+        values, next_values = values_of(
+            lambda obs: networks.value_network.apply(statistics, params, obs), batch, last
+        )
+        advantage = compute_gae(
+            reward, values, next_values, batch.done, hyper.gamma, hyper.gae_discount
+        )
+        centred = advantage - mean(advantage.mean())
+        scale = jnp.sqrt(mean(jnp.mean(centred**2))) + 1e-5
+        return flat({"value": values, "target": advantage + values, "advantage": centred / scale})
+
+    first = estimate(agent.params.value)
+    data = {"obs": batch.obs, "raw_action": batch.raw_action, "log_prob": batch.log_prob}
     if batch.critic_obs is not None:
         data["critic_obs"] = batch.critic_obs
-    size = reward.size
-    data = {name: leaf.reshape(size, *leaf.shape[2:]) for name, leaf in data.items()}
+    data = flat(data)
     optimizer = make_optimizer(hyper.max_grad_norm, hyper.eps)
     progress = agent.env_steps.astype(jnp.float32) / hyper.total_steps
     rate = hyper.lr * jnp.where(hyper.lr_decays > 0, jnp.maximum(0.0, 1.0 - progress), 1.0)
     entropy_coef = hyper.entropy_coef * jnp.maximum(0.0, 1.0 - progress * hyper.entropy_fade)
     gradient = jax.grad(ppo_loss, has_aux=True)
 
-    def step(carry: tuple, item: tuple) -> tuple[tuple, dict[str, jax.Array]]:
-        params, state = carry
+    def step(
+        data: dict[str, jax.Array], carry: tuple, item: tuple
+    ) -> tuple[tuple, dict[str, jax.Array]]:
+        params, state, factor = carry
         rows, key = item
         part = {name: leaf[rows] for name, leaf in data.items()}
         grads, scalars = gradient(
             params, agent.normalizer, part, key, hyper, networks, entropy_coef,
-            config.clip_value_loss, agent.critic_normalizer,
+            agent.critic_normalizer,
         )  # fmt: skip
+        factor = adapt_rate(factor, mean(scalars["kl"]), hyper.target_kl)
         changes, state = optimizer.update(mean(grads), state)
-        params = jax.tree.map(lambda p, c: p - rate * c, params, changes)
-        return (params, state), scalars
+        params = jax.tree.map(lambda p, c: p - rate * factor * c, params, changes)
+        return (params, state, factor), scalars
 
     def epoch(carry: tuple, key: jax.Array) -> tuple[tuple, dict[str, jax.Array]]:
         key_order, key_steps = jax.random.split(key)
         order = jax.random.permutation(key_order, size).reshape(config.num_mini_batch, -1)
-        return jax.lax.scan(step, carry, (order, jax.random.split(key_steps, len(order))))
+        again = estimate(carry[0].value)
+        now = jax.tree.map(partial(jnp.where, hyper.recompute_advantages > 0), again, first)
+        items = (order, jax.random.split(key_steps, len(order)))
+        return jax.lax.scan(partial(step, data | now), carry, items)
 
-    (params, state), scalars = jax.lax.scan(
-        epoch, (agent.params, agent.optimizer), jax.random.split(key, config.ppo_epoch)
+    (params, state, factor), scalars = jax.lax.scan(
+        epoch,
+        (agent.params, agent.optimizer, agent.rate_factor),
+        jax.random.split(key, config.ppo_epoch),
     )
     normalizer, critic_normalizer = agent.normalizer, agent.critic_normalizer
     if config.normalize_observations:
@@ -360,6 +388,7 @@ def learn(
         returns=returns,
         env_steps=agent.env_steps + jnp.uint32(batch_steps(batch, axis)),
         updates=agent.updates + 1,
+        rate_factor=factor,
         critic_normalizer=critic_normalizer,
     )
     return agent, mean({name: jnp.mean(value) for name, value in scalars.items()})

@@ -94,7 +94,7 @@ def test_first_command_of_the_readme_comes_early_and_helps_a_person():
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_commands_and_links_in_the_documents_exist(name):
+def test_commands_in_the_documents_exist(name):
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     text = (ROOT / name).read_text()
     for module in re.findall(r"python -m ([a-z_.]+)", text):
@@ -104,11 +104,28 @@ def test_commands_and_links_in_the_documents_exist(name):
     assert set(commands_named) <= {*COMMANDS, *ALIASES}
     for group in re.findall(r"\[([a-z,]+)\]\"", text):
         assert set(group.split(",")) <= set(extras["optional-dependencies"]), group
+
+
+@pytest.mark.parametrize("name", [*PAGES, "CHANGELOG.md"])
+def test_links_and_pictures_in_the_documents_exist(name):
+    text = (ROOT / name).read_text()
     for path in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
-        in_images = "images/" in path  # drawn from a trained policy
-        assert in_images or ((ROOT / name).parent / path).resolve().exists(), path
+        assert ((ROOT / name).parent / path).resolve().exists(), path
     for path, heading in re.findall(r"\]\(([^)#:]*\.md)#([^)]+)\)", text):
         assert heading in headings(((ROOT / name).parent / path).read_text()), f"{path}#{heading}"
+    for heading in re.findall(r"\]\(#([^)]+)\)", text):
+        assert heading in headings(text), f"#{heading}"
+
+
+def test_every_picture_is_shown_by_a_page():
+    """So that none stays that shows what is no longer so."""
+    shown = {
+        ((ROOT / name).parent / path).resolve()
+        for name in PAGES
+        for path in re.findall(r"!\[[^]]*\]\(([^)]+)\)", (ROOT / name).read_text())
+    }
+    there = {path for path in (ROOT / "docs" / "images").rglob("*") if path.is_file()}
+    assert not {str(path.relative_to(ROOT)) for path in there - shown}
 
 
 def code_in(text: str) -> list[str]:

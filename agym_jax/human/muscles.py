@@ -12,6 +12,11 @@ weak one sinks 1.7 cm. With the mass where it belongs every arm would. ``Populat
 people sink as in AG, a man of full strength by 6 mm in the same time, as muscles damp here.
 DEVIATION(muscle-damping): a limb pushed by the robot yields like a damper instead of standing still
 up to the torque bound and moving freely beyond it.
+DEVIATION(tissue-damping): every joint of the person has 0.05 N m s/rad, from a model of the human arm (Li and Todorov 2004); AG has
+none, but Bullet's drag. OpenSim's arm has twice as much at shoulder, elbow and forearm (Saul et al., Comput. Methods Biomech. Biomed.
+Eng. 18, 2015, table 2: 0.001745 N m s/deg; a quarter of that for wrist deviation). Half and twice the value move the wrist of a limp arm that falls
+by 2.0 and 3.0 cm (man) and 1.2 and 1.8 cm (woman) until it meets the bed, and by 1.7 to 3.7 cm where it comes to rest; none moves it by 3.6
+and 2.6 cm until it meets the bed (medians of twelve drops, our masses). ``Population(masses="ag")`` has none either.
 """
 
 from __future__ import annotations
@@ -30,9 +35,10 @@ MOVE_DAMPING = 1.6
 """Of a moving person of full strength [N m s/rad]: a full action (0.25 rad at 2.5 /s) against a
 blocked joint takes the 1 N m bound."""
 TISSUE_DAMPING = 0.05
-"""What even the weakest joint has [N m s/rad]: joint friction of the arm model of Li and Todorov, Iterative linear
-quadratic regulator design for nonlinear biological movement systems, ICINCO 2004 (b11 = b22 = 0.05 kg m2/s, shoulder and
-elbow; their coupling of the two, 0.025, is left out). AG has none."""
+"""What even the weakest joint has [N m s/rad]. Shoulder and elbow of the arm model of Li and Todorov (ICINCO 2004; Li, PhD
+thesis, UC San Diego 2006) have the joint friction matrix [[0.05, 0.025], [0.025, 0.05]]: read in two programs that implement it,
+jeremiedecock/pyarm (model/arm/abstract_arm_model.py) and raklokesh/ILQR_TwoLinkArm_Reaching (Initialisation.m), not in the paper.
+The coupling of the two joints, 0.025, is left out. See DEVIATION(tissue-damping) for another model's value."""
 DRAG = 0.04
 """Of Bullet on every link: a link slows down at the rate ``DRAG * (1 + speed)`` [1/s]. AG v0.1 keeps the default."""
 LIMIT_MARGIN = 1e-3

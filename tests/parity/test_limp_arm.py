@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agym_jax.human import body
+from agym_jax.human import body, muscles
 from benchmarks.deviations import collect
 from benchmarks.parity import limp_arm
 from benchmarks.parity.row import traces
@@ -74,3 +74,18 @@ def test_a_joint_beyond_its_limit_is_put_back_and_the_rest_slows_down():
     # nothing at a limit: nothing stops
     _, free = as_bullet(np.zeros(2), before, inertia, limits, h, np)
     np.testing.assert_allclose(free, drag(before))
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize("sex", [0, 1])
+def test_tissue_damping_decides_centimetres_of_a_drop(sex: int, factor: float, monkeypatch):
+    """The figure of the deviation: until the bed is met, the wrist is where another model's damping leaves it."""
+    t, who = traces("limp_arm"), limp_arm.SEXES[sex]
+    paths = []
+    for damping in (muscles.TISSUE_DAMPING, factor * muscles.TISSUE_DAMPING):
+        monkeypatch.setattr(muscles, "TISSUE_DAMPING", damping)
+        arm = limp_arm.person(sex, False)
+        paths.append([arm.released(q, steps=50)[:, limp_arm.WRIST] for q in t[f"{who}_bed_start"]])
+    gaps = limp_arm.apart(*np.array(paths))
+    most = [gap[: int(i)].max() for gap, i in zip(gaps, t[f"{who}_impact"], strict=True)]
+    assert 0.005 < np.median(most) < 0.04

@@ -19,9 +19,14 @@ import jax
 import tyro
 
 from agym_jax.data.npz import check_writable
-from agym_jax.errors import AgymError, PolicyNotFoundError
+from agym_jax.errors import (
+    AgymError,
+    PolicyEnvironmentError,
+    PolicyLayoutError,
+    PolicyNotFoundError,
+)
 from agym_jax.policy.agents import AnyPolicy
-from agym_jax.policy.files import FILE_NAMES, load_policy
+from agym_jax.policy.files import FILE_NAMES, find_policies, load_policies, load_policy
 
 from .configs import Count
 from .envs import make_env
@@ -44,6 +49,8 @@ class SelectConfig:
     """Seed of the episodes over which a seed is chosen."""
     report_seed: int = 1001
     """Seed of the episodes over which the chosen one is reported."""
+    shipped: bool = True
+    """Measure the policy that ships with agym_jax over the same people as the chosen one, if there is one."""
     impl: str = "auto"
     """Physics: "jax", "warp" or "auto"."""
     json: str | None = None
@@ -83,10 +90,8 @@ def load_seeds(
     return env, {seed: load_policy(folder, env) for seed, folder in folders.items()}
 
 
-def select(
-    env: Any, policies: dict[int, AnyPolicy], config: SelectConfig
-) -> tuple[SeedScores, EvaluationResult]:
-    """Measure all, choose the best, measure that again.
+def check(config: SelectConfig) -> None:
+    """Refuse a choice that means nothing, before anything is built.
 
     Raises:
         ConfigError: it would be chosen and reported over the same episodes, or over none.
@@ -98,9 +103,29 @@ def select(
         )
     if config.num_episodes < 1:
         raise ConfigError(f"num_episodes must be at least 1, got {config.num_episodes}.")
-    evaluator = Evaluator(env, config.num_episodes)
+
+
+def select(
+    evaluator: Evaluator, policies: dict[int, AnyPolicy], config: SelectConfig
+) -> tuple[SeedScores, EvaluationResult]:
+    """Measure all, choose the best, measure that again."""
     scores = score_seeds(evaluator, policies, jax.random.PRNGKey(config.seed))
     return scores, evaluator(policies[scores.best], jax.random.PRNGKey(config.report_seed))
+
+
+def measure_shipped(
+    evaluator: Evaluator, config: SelectConfig
+) -> tuple[EvaluationResult | None, str]:
+    """What ships for an environment, over the people of the report; or None and why, empty if nothing ships."""
+    try:
+        files = find_policies(evaluator.env.name)
+    except PolicyNotFoundError:
+        return None, ""
+    try:
+        policy = load_policies(files, evaluator.env)
+    except (PolicyEnvironmentError, PolicyLayoutError) as error:
+        return None, str(error)
+    return evaluator(policy, jax.random.PRNGKey(config.report_seed)), ""
 
 
 def main(
@@ -112,10 +137,13 @@ def main(
     config = tyro.cli(SelectConfig, prog=prog, args=arguments, description=__doc__)
     run = Path(config.run).resolve()
     try:
+        check(config)
         if config.json:
             check_writable(Path(config.json).parent, "Choose another file with --json.")
         env, policies = load_seeds(run, make, config.impl)
-        scores, reported = select(env, policies, config)
+        evaluator = Evaluator(env, config.num_episodes)
+        scores, reported = select(evaluator, policies, config)
+        ships, unfit = measure_shipped(evaluator, config) if config.shipped else (None, "")
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
@@ -125,12 +153,17 @@ def main(
     print(scores.table())
     print(f"Chosen: seed {scores.best}, now {run / FILE_NAMES['robot']}. Over other people:")
     print(reported.table())
+    if ships or unfit:
+        print(f"The policy that ships, over the same people:\n{ships.table() if ships else unfit}")
     if config.json:
         summary = reported.summary()
         line = record(
             "selection",
             **scores.summary(),
             chosen=scores.best,
+            reported=summary,
+            shipped=ships.summary() if ships else None,
+            shipped_unfit=unfit,
             chosen_over=config.seed,
             reported_over=config.report_seed,
             impl=str(getattr(env, "impl", config.impl)),

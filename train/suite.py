@@ -1,19 +1,23 @@
 """Train and choose policies of many environments: ``agym-jax suite --only Jaco --num-seeds 8``.
 
-Every environment gets a run with several seeds (``train``, or ``coop`` where the person acts too) and then a choice
-among them (``select``), as processes of their own: several at a time, and spread over the GPUs of the machine.
-Rerunning the same command goes on where it was stopped: finished runs are kept, unfinished ones resumed.
+Every environment gets a run with several seeds (``train``, or ``coop`` where the person acts too), then a choice
+among them (``select``, over one set of people, reported over another), and a film of the chosen one (``enjoy``), as
+processes of their own: one at a time on each GPU of the machine. A table and a picture of all runs are in the save
+folder (``results.md``, ``curves.png``) and grow with each environment. Rerunning the same command goes on where it was
+stopped: finished runs are kept, unfinished ones resumed from their checkpoint.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
-import subprocess
+import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import SimpleQueue
@@ -22,13 +26,25 @@ from typing import Annotated, Any
 import tyro
 
 import agym_jax
-from agym_jax.data.npz import check_writable
+from agym_jax.data.npz import check_writable, write_file
 from agym_jax.errors import AgymError, UnknownNameError
 from agym_jax.registry import parse
 
-from .configs import Count
+from .configs import Count, config_for, parse_count
 from .errors import ConfigError
+from .runs.children import Children, own_program, visible_gpus
+from .runs.overview import (
+    JOURNAL,
+    markdown,
+    read_rows,
+    selection_of,
+    training_summary,
+)
+from .runs.plots import plot_runs
 from .runs.progress import duration
+
+FILM = "clip.gif"
+LINE_PERIOD = 60.0  # seconds between lines about the whole
 
 
 @dataclass(frozen=True)
@@ -42,15 +58,17 @@ class SuiteConfig:
     num_episodes: Count = 1000
     """Episodes over which a seed is chosen, and of others over which it is reported."""
     save_dir: str = "trained_suite"
-    """Folder of the runs, the logs and the results (selections.jsonl)."""
+    """Folder of the runs, the logs and the results."""
     parallel: Count = 1
     """Environments trained at the same time on each GPU."""
-    gpus: Count = 1
-    """GPUs to spread them over; 0 or 1 leaves the choice of devices to JAX."""
+    gpus: Count = 0
+    """GPUs to spread them over, each training on one; 0 = all there are."""
     steps: tuple[str, ...] = ()
     """Steps of a seed where the trainer's default does not suit: NAME=STEPS, such as Dressing=6e6."""
     flags: str = ""
     """Further flags of train and coop: --flags="--num-envs 2048 --lr 1e-3"."""
+    clips: bool = True
+    """Film an episode of each chosen policy, on the CPU while the next environments train."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +80,14 @@ class Outcome:
         line: the selection's result; None if something failed.
         seconds: of training and choosing.
         problem: the last lines of what failed, if something did.
+        kept: whether it was finished before this session.
     """
 
     env_name: str
     line: Mapping[str, Any] | None
     seconds: float
     problem: str = ""
+    kept: bool = False
 
 
 def suite_ids(only: Sequence[str]) -> list[str]:
@@ -107,69 +127,186 @@ class Runner:
     Attributes:
         config: flags.
         program: how a command of the trainer is started.
-        slots: indices of GPUs that are free, one entry for each process that may use one.
+        gpus: names of the GPUs; none leaves the choice of devices to JAX.
+        children: the processes.
+        films: environment -> its film, in the making; gives the end of the log if it failed.
+        slots: GPUs that are free, one entry for each process that may use one.
     """
 
     config: SuiteConfig
-    program: tuple[str, ...] = (sys.executable, "-m", "agym_jax")
+    program: tuple[str, ...] = field(default_factory=own_program)
+    gpus: Sequence[str] = ()
+    children: Children = field(default_factory=Children)
+    films: dict[str, Future] = field(default_factory=dict)
     slots: SimpleQueue = field(default_factory=SimpleQueue)
 
     def __post_init__(self) -> None:
         """Fill the slots."""
-        for _ in range(max(1, self.config.parallel)):
-            for gpu in range(max(1, self.config.gpus)):
+        self._lock, self._filming = threading.Lock(), ThreadPoolExecutor(1)
+        for _ in range(self.width):
+            for gpu in self.gpus or [""]:
                 self.slots.put(gpu)
 
+    @property
+    def width(self) -> int:
+        """Processes on each GPU."""
+        return max(1, self.config.parallel)
+
     def all(self, ids: Sequence[str]) -> Iterator[Outcome]:
-        """Outcomes in the order of the ids, each as soon as it and those before it are there."""
-        with ThreadPoolExecutor(max(1, self.config.parallel) * max(1, self.config.gpus)) as pool:
-            yield from pool.map(self.one, ids)
+        """What became of each environment, as soon as that is known."""
+        with ThreadPoolExecutor(self.width * max(1, len(self.gpus))) as pool:
+            waiting = [pool.submit(self.one, name) for name in ids]
+            try:
+                for done in as_completed(waiting):
+                    yield done.result()
+            finally:  # also where somebody stops the suite
+                for future in waiting:
+                    future.cancel()
 
     def one(self, env_name: str) -> Outcome:
-        """Train and choose."""
+        """Train, choose, and order a film."""
         start, gpu = time.perf_counter(), self.slots.get()
         try:
-            return self._one(env_name, gpu, start)
+            outcome = self._one(env_name, gpu, start)
         finally:
             self.slots.put(gpu)
+        if outcome.line and self.config.clips and not self.children.stopping:
+            self.films[env_name] = self._filming.submit(self._film, env_name)
+        return outcome
 
-    def _one(self, env_name: str, gpu: int, start: float) -> Outcome:
-        c, folder = self.config, Path(self.config.save_dir)
-        result = folder / env_name / "selection.jsonl"
+    def finish(self) -> dict[str, str]:
+        """Wait for the films; environment -> the end of the log of those that failed."""
+        failed = {name: film.result() for name, film in self.films.items()}
+        self._filming.shutdown()
+        return {name: problem for name, problem in failed.items() if problem}
+
+    def _one(self, env_name: str, gpu: str, start: float) -> Outcome:
+        c, run = self.config, Path(self.config.save_dir) / env_name
+        if line := selection_of(run):
+            return Outcome(env_name, line, time.perf_counter() - start, kept=True)
         train = [
             "coop" if parse(env_name).active else "train", "--env-name", env_name,
-            "--num-seeds", str(c.num_seeds), "--save-dir", str(folder),
+            "--num-seeds", str(c.num_seeds), "--save-dir", c.save_dir,
             *steps_of(c.steps, env_name), *c.flags.split(),
         ]  # fmt: skip
-        select = [
-            "select", str(folder / env_name), "--num-episodes", str(c.num_episodes),
-            "--json", str(result),
-        ]  # fmt: skip
-        if not result.is_file():
-            for words in (train, select) if c.num_seeds > 1 else (train,):
-                if problem := self._run(words, env_name, gpu):
-                    return Outcome(env_name, None, time.perf_counter() - start, problem)
-        line = json.loads(result.read_text().splitlines()[-1]) if result.is_file() else {}
-        return Outcome(env_name, line, time.perf_counter() - start)
+        result = str(run / "selection.jsonl")
+        select = ["select", str(run), "--num-episodes", str(c.num_episodes), "--json", result]
+        environment = {"CUDA_VISIBLE_DEVICES": gpu} if gpu else {}
+        if self.width > 1:
+            preallocate = os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+            environment["XLA_PYTHON_CLIENT_PREALLOCATE"] = preallocate
+        for words in (train, select) if c.num_seeds > 1 else (train,):
+            if problem := self._run(words, env_name, environment):
+                return Outcome(env_name, None, time.perf_counter() - start, problem)
+        return Outcome(env_name, selection_of(run) or {}, time.perf_counter() - start)
 
-    def _run(self, words: Sequence[str], env_name: str, gpu: int) -> str:
+    def _film(self, env_name: str) -> str:
+        folder = Path(self.config.save_dir)
+        film = folder / env_name / FILM
+        if film.is_file():
+            return ""
+        words = ["enjoy", "--env-name", env_name, "--load-dir", str(folder), "--clip", str(film)]
+        size = ["--width", "320", "--height", "240"]
+        return self._run([*words, *size], env_name, {"JAX_PLATFORMS": "cpu"}, "film.log")
+
+    def _run(
+        self, words: Sequence[str], env_name: str, environment: Mapping[str, str], log: str = "log"
+    ) -> str:
         """Run one command, with its output in a log; returns the end of that if it failed."""
-        log, environ = Path(self.config.save_dir) / f"{env_name}.log", dict(os.environ)
-        if self.config.gpus > 1:
-            environ["CUDA_VISIBLE_DEVICES"] = str(gpu)
-        if self.config.parallel > 1:
-            environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-        with log.open("a") as file:
+        path = Path(self.config.save_dir) / f"{env_name}.{log}"
+        about = {"env": env_name, "command": words[0]}
+        self._close(about, path)
+        began, timer = time.time(), time.perf_counter()
+        self._note({**about, "began": began, "gpu": environment.get("CUDA_VISIBLE_DEVICES")})
+        with path.open("a") as file:
             print("$", *words, file=file, flush=True)
-            done = subprocess.run(
-                [*self.program, *words], stdout=file, stderr=subprocess.STDOUT, env=environ
-            )
-        return "" if done.returncode == 0 else "\n".join(log.read_text().splitlines()[-5:])
+            status = self.children.run([*self.program, *words], file, environment)
+        took = time.perf_counter() - timer
+        self._note({**about, "ended": time.time(), "seconds": round(took, 1), "status": status})
+        lines = path.read_text(errors="replace").splitlines()
+        return "\n".join(lines[-5:]) or f"exit status {status}" if status else ""
+
+    def _close(self, about: Mapping[str, Any], log: Path) -> None:
+        """Note the time of a command that was killed together with the suite, up to its last words."""
+        path = Path(self.config.save_dir) / JOURNAL
+        rows = [row for row in read_rows(path) if about.items() <= row.items()]
+        if rows and "began" in rows[-1] and log.is_file():
+            seconds = round(max(0.0, log.stat().st_mtime - rows[-1]["began"]), 1)
+            self._note({**about, "seconds": seconds, "status": None})
+
+    def _note(self, row: Mapping[str, Any]) -> None:
+        with self._lock, (Path(self.config.save_dir) / JOURNAL).open("a") as file:
+            print(json.dumps(row), file=file, flush=True)
+
+
+@dataclass
+class Whole:
+    """How far all environments together are.
+
+    Attributes:
+        config: flags.
+        ids: environments.
+        first: share that was done when this session began.
+        start: when that was.
+    """
+
+    config: SuiteConfig
+    ids: Sequence[str]
+
+    def __post_init__(self) -> None:
+        """Look at what is there."""
+        self._known: dict[str, float] = {}
+        self.start, self.first = time.perf_counter(), self.share()
+
+    def of(self, env_name: str) -> float:
+        """Share of an environment's training that is done, by steps."""
+        run = Path(self.config.save_dir) / env_name
+        if self._known.get(env_name) == 1.0 or selection_of(run):
+            return 1.0
+        rows, settings = read_rows(run / "curve.jsonl"), run / "config.json"
+        if not rows:
+            return 0.0
+        total = json.loads(settings.read_text())["config"]["num_env_steps"]
+        return min(0.99, rows[-1]["env_steps"] / total)
+
+    def share(self) -> float:
+        """Share of the whole that is done, where every environment counts by the steps it needs."""
+        weights = {name: self._steps(name) for name in self.ids}
+        self._known = {name: self.of(name) for name in self.ids}
+        done = math.fsum(weights[name] * self._known[name] for name in self.ids)
+        return done / math.fsum(weights.values())
+
+    def _steps(self, env_name: str) -> float:
+        named = steps_of(self.config.steps, env_name)
+        return float(parse_count(named[1]) if named else config_for(env_name).num_env_steps)
+
+    def words(self) -> str:
+        """A line about the whole: what is done, what runs, and how long it may still take."""
+        now = self.share()
+        gone, gained = time.perf_counter() - self.start, now - self.first
+        left = f", about {duration(gone * (1 - now) / gained)} left" if gained > 1e-3 else ""
+        going = [f"{name} {x:.0%}" for name, x in self._known.items() if 0 < x < 1]
+        finished = sum(x == 1 for x in self._known.values())
+        return (
+            f"    {now:4.0%} of the whole, {finished} of {len(self.ids)} finished after {duration(gone)}{left}"
+            + (f"   ({', '.join(going)})" if going else "")
+        )
+
+
+def write_results(config: SuiteConfig, ids: Sequence[str]) -> None:
+    """The table and the picture of all runs that are finished, into the save folder."""
+    folder = Path(config.save_dir)
+    there = [(selection_of(folder / name), training_summary(folder / name)) for name in ids]
+    runs = [(selection, training) for selection, training in there if selection]
+    if runs:
+        write_file(folder / "results.md", markdown(runs).encode())
+        plot_runs(folder / "curves.png", [training for _, training in runs if training])
 
 
 def describe(outcome: Outcome) -> str:
     """A line of the table, or what failed."""
     name, took = f"{outcome.env_name:<28}", duration(outcome.seconds)
+    took = "finished before" if outcome.kept else took
     if outcome.line is None:
         return f"{name} failed after {took}:\n{outcome.problem}"
     if not outcome.line:
@@ -182,7 +319,9 @@ def describe(outcome: Outcome) -> str:
 
 
 def main(
-    arguments: Sequence[str] | None = None, prog: str = f"python -m {__package__}.suite"
+    arguments: Sequence[str] | None = None,
+    prog: str = f"python -m {__package__}.suite",
+    program: tuple[str, ...] | None = None,
 ) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(SuiteConfig, prog=prog, args=arguments, description=__doc__)
@@ -190,18 +329,61 @@ def main(
         ids = suite_ids(config.only)
         for name in ids:
             steps_of(config.steps, name)
+        gpus = visible_gpus(config.gpus)
         check_writable(Path(config.save_dir))
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
-    failed = 0
+    where = f"{len(gpus)} GPUs" if len(gpus) > 1 else "one device"
     print(
-        f"{len(ids)} environments, {config.num_seeds} seeds each, into {config.save_dir}",
+        f"{len(ids)} environments, {config.num_seeds} seeds each, on {where}, into {config.save_dir}",
         flush=True,
     )
-    for number, outcome in enumerate(Runner(config).all(ids), 1):
-        failed += outcome.line is None
-        print(f"{number:>3}/{len(ids)}  {describe(outcome)}", flush=True)
+    runner = Runner(config, program or own_program(), gpus)
+
+    def stop(*_: Any) -> None:
+        print("Stopping; trainings save their state ...", flush=True)
+        runner.children.stop()  # first: nobody waits for a training that was not told
+        raise KeyboardInterrupt
+
+    before = [(number, signal.signal(number, stop)) for number in (signal.SIGINT, signal.SIGTERM)]
+    try:
+        return _run_all(config, ids, runner)
+    except KeyboardInterrupt:
+        runner.finish()
+        print("Rerun the same command to continue.")
+        return 130
+    finally:
+        for number, handler in before:
+            signal.signal(number, handler)
+
+
+def _run_all(config: SuiteConfig, ids: Sequence[str], runner: Runner) -> int:
+    """Everything, with a line for each environment and one a minute for the whole; returns the exit status."""
+    whole, over = Whole(config, ids), threading.Event()
+
+    def tell() -> None:
+        while not over.wait(LINE_PERIOD):
+            print(whole.words(), flush=True)
+
+    threading.Thread(target=tell, daemon=True).start()
+    failed, used = 0, 0.0
+    try:
+        for number, outcome in enumerate(runner.all(ids), 1):
+            failed += outcome.line is None
+            used += 0.0 if outcome.kept else outcome.seconds
+            print(f"{number:>3}/{len(ids)}  {describe(outcome)}", flush=True)
+            if outcome.line:
+                write_results(config, ids)
+        for name, problem in runner.finish().items():
+            print(f"No film of {name}:\n{problem}")
+    finally:
+        over.set()
+    took = time.perf_counter() - whole.start
+    print(
+        f"{len(ids) - failed} of {len(ids)} environments in {duration(took)}; one after another, their trainings "
+        f"and choices would take {duration(used)}. Results: {Path(config.save_dir) / 'results.md'}"
+    )
     return 1 if failed else 0
 
 

@@ -3,30 +3,50 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import os
+import signal
 import sys
+import time
 
 import pytest
+from paths import PROCESS_SECONDS, ROOT, SUPPORT
+from train_runs import start_python
 
 from agym_jax.errors import UnknownNameError
 from train.errors import ConfigError
-from train.suite import Runner, SuiteConfig, describe, main, steps_of, suite_ids
+from train.runs import children
+from train.runs.checkpoint import checkpoint_files
+from train.runs.overview import read_rows, wall_seconds
+from train.suite import Runner, SuiteConfig, Whole, describe, main, steps_of, suite_ids
 
 # Stands for agym-jax: writes down how it was called, and makes a selection where one is asked for.
 STUB = """
 import json, os, pathlib, sys
 words = sys.argv[1:]
-folder = pathlib.Path(words[words.index("--save-dir") + 1]) if "--save-dir" in words else pathlib.Path(words[1]).parent
+folder = pathlib.Path(words[1]).parent
+for flag in ("--save-dir", "--load-dir"):
+    folder = pathlib.Path(words[words.index(flag) + 1]) if flag in words else folder
 with (folder / "calls.jsonl").open("a") as file:
     file.write(json.dumps([words, os.environ.get("CUDA_VISIBLE_DEVICES")]) + "\\n")
 if words[0] == "select":
     run = pathlib.Path(words[1])
     run.mkdir(exist_ok=True)
-    line = dict(chosen_success=0.95, seeds=[1, 2], success_iqm=0.9, success_of_seeds=[0.95, 0.85])
+    line = dict(env=run.name, chosen=1, chosen_success=0.95, seeds=[1, 2], success_iqm=0.9,
+                success_iqm_low=0.8, success_iqm_high=1.0, success_of_seeds=[0.95, 0.85])
     pathlib.Path(words[words.index("--json") + 1]).write_text(json.dumps(line))
+elif words[0] == "enjoy":
+    pathlib.Path(words[words.index("--clip") + 1]).write_text("a film")
 elif "Dressing" in words[2]:
     print("no gown here")
     sys.exit(3)
+else:
+    run = folder / words[2]
+    run.mkdir(exist_ok=True)
+    row = dict(success=0.91, success_low=0.9, success_high=0.92, success_min=0.8, success_max=1.0)
+    row |= dict(env_steps=1000, seconds=7.5, num_seeds=2, nan_total=0)
+    (run / "curve.jsonl").write_text(json.dumps(row))
 """
 
 
@@ -42,11 +62,13 @@ def calls(folder):
 
 def test_commands_of_robots_alone_and_of_pairs(tmp_path, program):
     config = SuiteConfig(
-        num_seeds=2, num_episodes=50, save_dir=str(tmp_path), gpus=2, steps=("Feeding=3e6",),
+        num_seeds=2, num_episodes=50, save_dir=str(tmp_path), steps=("Feeding=3e6",),
         flags="--impl jax",
     )  # fmt: skip
     ids = ["FeedingJaco-v0", "ReachingJacoHuman-v0"]
-    outcomes = list(Runner(config, program).all(ids))
+    runner = Runner(config, program, ["0", "1"])
+    outcomes = sorted(runner.all(ids), key=lambda x: x.env_name)
+    assert runner.finish() == {} and (tmp_path / ids[0] / "clip.gif").read_text() == "a film"
     assert [x.line["chosen_success"] for x in outcomes if x.line] == [0.95, 0.95]
     found = {tuple(words[:3]): (words, gpu) for words, gpu in calls(tmp_path)}
     words, gpu = found["train", "--env-name", "FeedingJaco-v0"]
@@ -57,8 +79,9 @@ def test_commands_of_robots_alone_and_of_pairs(tmp_path, program):
     assert "--num-env-steps" not in found["coop", "--env-name", "ReachingJacoHuman-v0"][0]
     assert "interquartile mean  90.0%, worst  85.0%" in describe(outcomes[0])
     before = len(calls(tmp_path))
-    again = list(Runner(config, program).all(ids))  # what is finished is kept
-    assert [x.line for x in again] == [x.line for x in outcomes]
+    again = sorted(Runner(config, program).all(ids), key=lambda x: x.env_name)
+    assert [x.line for x in again] == [x.line for x in outcomes]  # what is finished is kept
+    assert "finished before" in describe(again[0])
     assert len(calls(tmp_path)) == before
 
 
@@ -86,3 +109,117 @@ def test_names_and_steps():
 def test_a_wrong_name_is_refused_before_anything_starts(tmp_path, capsys):
     assert main(["--only", "Scratchitch", "--save-dir", str(tmp_path / "runs")]) == 2
     assert "ScratchItch" in capsys.readouterr().err and not (tmp_path / "runs").exists()
+
+
+PATHS = {"PYTHONPATH": f"{ROOT}{os.pathsep}{SUPPORT}"}
+IDS = ["ReachingJaco-v0", "FeedingJaco-v0"]
+SUITE = """
+from train.suite import main
+from train.runs.children import own_program
+raise SystemExit(main({words!r}, program=own_program("suite_stub")))
+"""
+
+
+def until(condition, what):
+    deadline = time.monotonic() + PROCESS_SECONDS
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)
+
+
+def ended(folder):
+    """What the journal says of the trainings of the first environment that have ended."""
+    return [
+        row for row in read_rows(folder / "journal.jsonl")
+        if row["env"] == IDS[0] and row["command"] == "train" and "seconds" in row
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGTERM], ids=["SIGKILL", "SIGTERM"])
+def test_a_suite_that_is_killed_goes_on_where_it_was(sent, tmp_path):
+    flags = "--num-envs 16 --num-env-steps 19200 --log-interval 1 --save-interval 4 --policy-hidden 16 --value-hidden 16"
+    words = [
+        "--only",
+        *IDS,
+        "--num-seeds",
+        "2",
+        "--num-episodes",
+        "32",
+        "--save-dir",
+        str(tmp_path),
+    ]
+    code = SUITE.format(words=[*words, f"--flags={flags} --impl jax --num-mini-batch 4"])
+    log, checkpoints = tmp_path / f"{IDS[0]}.log", tmp_path / IDS[0] / "checkpoints"
+    with start_python(code, env=PATHS, stdout=-1, stderr=-1) as suite:
+        try:
+            until(lambda: len(checkpoint_files(checkpoints)) > 1 or suite.poll(), "no checkpoints")
+            suite.send_signal(sent)
+            out, err = suite.communicate(timeout=PROCESS_SECONDS)
+        finally:
+            suite.kill()
+    assert suite.returncode == (-9 if sent == signal.SIGKILL else 130), out + err
+    # the training did not stay behind: it was told, saved its state, and ended
+    until(lambda: "Rerun the same command to continue." in log.read_text(), log.read_text())
+    assert not (tmp_path / IDS[1]).exists()
+    if sent == signal.SIGTERM:
+        assert "Rerun the same command to continue." in out
+        assert [row["status"] for row in ended(tmp_path)] == [130]
+        return
+    with start_python(code, env=PATHS, stdout=-1, stderr=-1) as suite:
+        out, err = suite.communicate(timeout=PROCESS_SECONDS)
+    assert suite.returncode == 0, out + err + log.read_text()
+    assert "2 of 2 environments in" in out
+    assert "Continuing from step" in log.read_text()
+    for name in IDS:
+        steps = [row["env_steps"] for row in read_rows(tmp_path / name / "curve.jsonl")]
+        assert steps == [320 * i for i in range(1, 61)]  # nothing twice, nothing missing
+        line = read_rows(tmp_path / name / "selection.jsonl")[-1]
+        assert line["env"] == name and line["seeds"] == [1, 2] and line["episodes"] == 32
+        assert line["reported"]["success"] == line["chosen_success"]
+        assert (tmp_path / name / "clip.gif").is_file() and (
+            tmp_path / name / "policy.npz"
+        ).is_file()
+        assert name in (tmp_path / "results.md").read_text()
+        assert wall_seconds(tmp_path, name) > 0
+    assert [row["status"] for row in ended(tmp_path)] == [None, 0]
+    assert (tmp_path / "curves.png").stat().st_size > 10_000
+    before = log.read_text()
+    with start_python(code, env=PATHS, stdout=-1, stderr=-1) as suite:
+        out, _ = suite.communicate(timeout=PROCESS_SECONDS)
+    assert out.count("finished before") == 2 and log.read_text() == before
+
+
+def test_the_share_of_the_whole(tmp_path):
+    config = SuiteConfig(save_dir=str(tmp_path), steps=("Reaching=1000", "Feeding=3000"))
+    whole = Whole(config, IDS)
+    assert whole.share() == 0.0 and "0 of 2 finished" in whole.words()
+    run = tmp_path / IDS[1]
+    run.mkdir()
+    (run / "config.json").write_text(json.dumps({"config": {"num_env_steps": 3000}}))
+    (run / "curve.jsonl").write_text(json.dumps({"env_steps": 2000}) + "\n" + '{"env_st')
+    assert whole.share() == pytest.approx(0.5)
+    assert "(FeedingJaco-v0 67%)" in whole.words() and "left" in whole.words()
+    (run / "selection.jsonl").write_text(json.dumps({"env": IDS[1]}))
+    assert whole.share() == pytest.approx(0.75) and "1 of 2 finished" in whole.words()
+
+
+def test_gpus(monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,6,7")
+    assert children.visible_gpus() == ["4", "6", "7"] and children.visible_gpus(2) == ["4", "6"]
+    with pytest.raises(ConfigError, match="--gpus 4 were asked for; there are 3"):
+        children.visible_gpus(4)
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
+    monkeypatch.setattr(children, "_all_gpus", lambda: ["0", "1"])
+    assert children.visible_gpus() == ["0", "1"]
+    runner = Runner(SuiteConfig(parallel=2), (), ["0", "1"])
+    assert sorted(runner.slots.get() for _ in range(runner.slots.qsize())) == ["0", "0", "1", "1"]
+
+
+def test_nothing_is_started_once_the_suite_stops(tmp_path, program):
+    config = dataclasses.replace(SuiteConfig(num_seeds=2), save_dir=str(tmp_path))
+    runner = Runner(config, program)
+    runner.children.stop()
+    (outcome,) = runner.all(["ReachingJaco-v0"])
+    assert outcome.line is None and not (tmp_path / "calls.jsonl").exists()
+    assert runner.finish() == {}

@@ -70,8 +70,8 @@ class LearnConfig:
     they are, and which one this is. They need a common --save-dir."""
 
     num_envs: Annotated[Count, tyro.conf.arg(aliases=["--num-processes"])] = 0
-    """Environments simulated side by side; 0 = 64 on a CPU, and on an accelerator 4096, or what suits
-    the task (NUM_ENVS)."""
+    """Environments simulated side by side; 0 = 64 on a CPU and 1024 on an accelerator. More of them make
+    more steps a second, but fewer updates of the steps that they make."""
     num_steps: Count = 20
     """Steps of each environment in one update."""
     ppo_epoch: Count = 4
@@ -96,13 +96,10 @@ class LearnConfig:
     """Lambda of generalised advantage estimation."""
     clip_param: float = 0.2
     """Clipping range of the probability ratio, and of the value with clip_value_loss."""
-    clip_value_loss: bool = True
-    """Clip the change of the value prediction too."""
-    recompute_advantages: bool = False
-    """Estimate advantages and value targets anew before every pass over the data."""
-    target_kl: float = 0.0
-    """Divergence of policies at which the learning rate is kept: it falls where a gradient step finds more
-    than twice as much, and rises where less than half; 0 = it does not adapt."""
+    clip_value_loss: bool = False
+    """Clip the change of the value prediction too, as Assistive Gym's trainer does."""
+    recompute_advantages: bool = True
+    """Estimate advantages and value targets anew before every pass over the data of an update."""
     value_loss_coef: float = 0.5
     """Weight of the value loss (which itself carries another 0.5)."""
     entropy_coef: float = 0.0
@@ -248,10 +245,8 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "Reaching": _TOUCH | {"lr": 3e-4},
 }
 
-NUM_ENVS = {
-    "ScratchItch": 2048, "ArmManipulation": 2048, "FeedingJaco": 1024, "Drinking": 1024, "Dressing": 1024,
-}  # fmt: skip
-"""Environments on an accelerator, where a task was trained with another number than 4096. Keys as above."""
+NUM_ENVS = {"cpu": 64, "gpu": 1024, "tpu": 1024}
+"""Environments by kind of device."""
 LEAST_SAMPLES = 80
 """Of a mini-batch, when ``num_mini_batch`` would make smaller ones of a small batch."""
 
@@ -317,8 +312,7 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
         ConfigError: the environments do not divide among the devices, or the data of an update not into
             mini-batches.
     """
-    rollout_state = _of(NUM_ENVS, config.env_name, 4096)
-    num_envs = config.num_envs or (64 if platform == "cpu" else rollout_state)
+    num_envs = config.num_envs or NUM_ENVS.get(platform, NUM_ENVS["gpu"])
     if num_envs % devices:
         raise ConfigError(
             f"{num_envs} environments cannot be shared by {devices} devices. Nearest that can: "

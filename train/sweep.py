@@ -35,7 +35,6 @@ from .runs.session import resolve_config, run_session
 SWEPT = (
     "lr", "use_linear_lr_decay", "gamma", "gae_lambda", "clip_param", "value_loss_coef", "entropy_coef",
     "entropy_decay_share", "max_grad_norm", "eps", "reward_scaling", "clip_value_loss", "recompute_advantages",
-    "target_kl",
 )  # fmt: skip
 """Settings that are arguments of the compiled update."""
 Setting = dict[str, float]

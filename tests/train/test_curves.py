@@ -25,6 +25,8 @@ SETTINGS = {
     "lr": 2e-3,
     "log_interval": 1,
     "save_dir": None,
+    "recompute_advantages": False,
+    "clip_value_loss": True,
 }
 NORMAL = {"distribution": "normal"}
 FADING = {

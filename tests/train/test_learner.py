@@ -166,3 +166,47 @@ def test_the_entropy_bonus_fades_where_it_is_asked_to():
     early = fades | {"entropy_decay_share": 0.4}
     assert same(after(20, **early), after(0, **half)) and same(after(40, **early), after(0))
     assert same(after(70, **early), after(0))
+
+
+def test_advantages_are_estimated_anew_before_every_pass_where_that_is_asked_for():
+    rows = np.random.default_rng(0).normal(size=(5, 4))
+    batch = make_batch(rows, rows, rows * 0, rows * 0, rows)
+
+    def after(**settings):
+        config = PPOConfig(policy_hidden=(8,), value_hidden=(8,), num_mini_batch=1, lr=0.1,
+                           distribution="normal", **settings)  # fmt: skip
+        arch = architecture(config, 1, 1)
+        agent, _ = init_agent(arch, jax.random.PRNGKey(1))
+        agent, _ = learn(agent, batch, batch.obs[-1], jax.random.PRNGKey(2),
+                              Hyper.of(config, 100), config, make_networks(arch))  # fmt: skip
+        return np.concatenate([x.ravel() for x in jax.tree.leaves(agent.params)])
+
+    once, often = {"ppo_epoch": 1}, {"ppo_epoch": 6}
+    same = after(recompute_advantages=True, **once), after(recompute_advantages=False, **once)
+    np.testing.assert_allclose(*same, atol=1e-6)  # before the first pass there is nothing new
+    other = after(recompute_advantages=True, **often), after(recompute_advantages=False, **often)
+    assert np.abs(other[0] - other[1]).max() > 1e-3
+
+
+def test_the_change_of_a_value_is_clipped_where_that_is_asked_for():
+    config = PPOConfig(policy_hidden=(8,), value_hidden=(8,), distribution="normal")
+    arch = architecture(config, 3, 2)
+    agent, _ = init_agent(arch, jax.random.PRNGKey(0))
+    obs = jax.random.normal(jax.random.PRNGKey(1), (16, 3))
+    networks = make_networks(arch)
+    _, raw, log_prob = sample_action(
+        networks, agent.normalizer, agent.params.policy, obs, jax.random.PRNGKey(2)
+    )
+    value = networks.value_network.apply(agent.normalizer, agent.params.value, obs)
+    # the value has gone from 1 below to its target: clipped, only clip_param of the way counts
+    data = {"obs": obs, "raw_action": raw, "log_prob": log_prob, "advantage": jnp.zeros(16),
+            "value": value - 1.0, "target": value}  # fmt: skip
+
+    def value_loss(clips: bool) -> float:
+        hyper = Hyper.of(dataclasses.replace(config, clip_value_loss=clips), 800)
+        key = jax.random.PRNGKey(3)
+        _, scalars = ppo_loss(agent.params, agent.normalizer, data, key, hyper, networks, 0.0)
+        return float(scalars["value_loss"])
+
+    assert value_loss(clips=False) == pytest.approx(0.0, abs=1e-6)
+    assert value_loss(clips=True) == pytest.approx(0.5 * 0.8**2, rel=1e-4)

@@ -1,7 +1,8 @@
 """PPO of one agent: its state, generalised advantage estimation, the loss, and one update from one rollout.
 
-Everything here is pure. An update estimates advantages with the values of before it, then makes ``ppo_epoch``
-passes of mini-batch gradient steps. Where several devices share the environments (``axis``), each has a part of
+Everything here is pure. An update makes ``ppo_epoch`` passes of mini-batch gradient steps; before each of them it
+estimates advantages and targets anew, with the values of then, so that what is known of a reward travels back by
+more than one rollout per update (Andrychowicz et al. 2021, section 3.5). Where several devices share the environments (``axis``), each has a part of
 the batch; gradients and statistics are those of all of it.
 
 DEVIATION(time-limit-bootstrap): Assistive Gym's trainer takes the time limit for a terminal state. Its episodes
@@ -31,7 +32,6 @@ from ..configs import LearnConfig
 from .rollout import Batch
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
-RATE_FACTORS = (0.02, 4.0)  # what ``adapt_rate`` may make of the learning rate
 LOSSES = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction", "noise_std")
 
 
@@ -56,7 +56,6 @@ class Hyper:
     reward_scaling: Any
     clip_value_loss: Any  # 1: clip the change of the value prediction too
     recompute_advantages: Any  # 1: before every pass over the data, with the values of then
-    target_kl: Any  # divergence of a gradient step's mini-batch that the learning rate aims at; 0: it does not
     learns: Any  # 0: one of several trainings that has been stopped
 
     @classmethod
@@ -85,7 +84,6 @@ class Hyper:
             "reward_scaling": config.reward_scaling,
             "clip_value_loss": config.clip_value_loss,
             "recompute_advantages": config.recompute_advantages,
-            "target_kl": config.target_kl,
             "learns": 1.0,
         }
         return cls(**{name: np.float32(value) for name, value in values.items()})
@@ -102,7 +100,6 @@ class AgentState:
     returns: running_statistics.RunningStatisticsState  # of the discounted return
     env_steps: jax.Array  # environment steps so far; the learning rate follows it    ()
     updates: jax.Array  # updates so far    ()
-    rate_factor: jax.Array  # on the learning rate, see ``LearnConfig.target_kl``    ()
     critic_normalizer: Any = None  # of what the value function reads; None where that is the same
 
 
@@ -149,7 +146,6 @@ def init_agent(
         returns=statistics(jnp.zeros(())),
         env_steps=jnp.zeros((), jnp.uint32),
         updates=jnp.zeros((), jnp.int32),
-        rate_factor=jnp.ones(()),
         critic_normalizer=None if critic_size is None else statistics(jnp.zeros(critic_size)),
     )
     return strong(
@@ -266,16 +262,6 @@ def ppo_loss(
     return loss, scalars
 
 
-def adapt_rate(factor: jax.Array, kl: jax.Array, target: jax.Array) -> jax.Array:
-    """The factor on the learning rate after a gradient step that moved the policy by ``kl``.
-
-    Schulman et al. 2017 adapt a penalty by the same rule, Rudin et al. 2022 the learning rate.
-    """
-    factor = jnp.where((target > 0) & (kl > 2 * target), factor / 1.5, factor)
-    factor = jnp.where((target > 0) & (kl < target / 2), factor * 1.5, factor)
-    return jnp.clip(factor, RATE_FACTORS[0], RATE_FACTORS[1])
-
-
 def batch_steps(batch: Batch, axis: str | None) -> int:
     """Environment steps of a rollout, those of the other devices included."""
     return batch.reward.size * (1 if axis is None else jax.lax.axis_size(axis))
@@ -350,17 +336,16 @@ def learn(
     def step(
         data: dict[str, jax.Array], carry: tuple, item: tuple
     ) -> tuple[tuple, dict[str, jax.Array]]:
-        params, state, factor = carry
+        params, state = carry
         rows, key = item
         part = {name: leaf[rows] for name, leaf in data.items()}
         grads, scalars = gradient(
             params, agent.normalizer, part, key, hyper, networks, entropy_coef,
             agent.critic_normalizer,
         )  # fmt: skip
-        factor = adapt_rate(factor, mean(scalars["kl"]), hyper.target_kl)
         changes, state = optimizer.update(mean(grads), state)
-        params = jax.tree.map(lambda p, c: p - rate * factor * c, params, changes)
-        return (params, state, factor), scalars
+        params = jax.tree.map(lambda p, c: p - rate * c, params, changes)
+        return (params, state), scalars
 
     def epoch(carry: tuple, key: jax.Array) -> tuple[tuple, dict[str, jax.Array]]:
         key_order, key_steps = jax.random.split(key)
@@ -370,10 +355,8 @@ def learn(
         items = (order, jax.random.split(key_steps, len(order)))
         return jax.lax.scan(partial(step, data | now), carry, items)
 
-    (params, state, factor), scalars = jax.lax.scan(
-        epoch,
-        (agent.params, agent.optimizer, agent.rate_factor),
-        jax.random.split(key, config.ppo_epoch),
+    (params, state), scalars = jax.lax.scan(
+        epoch, (agent.params, agent.optimizer), jax.random.split(key, config.ppo_epoch)
     )
     normalizer, critic_normalizer = agent.normalizer, agent.critic_normalizer
     if config.normalize_observations:
@@ -388,7 +371,6 @@ def learn(
         returns=returns,
         env_steps=agent.env_steps + jnp.uint32(batch_steps(batch, axis)),
         updates=agent.updates + 1,
-        rate_factor=factor,
         critic_normalizer=critic_normalizer,
     )
     return agent, mean({name: jnp.mean(value) for name, value in scalars.items()})

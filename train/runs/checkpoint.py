@@ -32,7 +32,7 @@ from . import record
 from .curve import Row, combine_rows
 from .folder import RunFolder
 
-FORMAT = 3
+FORMAT = 2
 KEEP = 3
 
 

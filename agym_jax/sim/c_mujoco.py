@@ -185,10 +185,11 @@ class NativePhysics:
                 d.qfrc_applied[index.human_dof] = self._torque(d, target)
                 if self.watcher:
                     self.watcher.before(d)
-                self.controller.motors.prepare(self.model, d, goal)
+                drive = self.controller.motors.prepare(self.model, d, goal)
                 mujoco.mj_step(self.model, d)
                 if self.watcher:
                     self.watcher.after(self.model, d)
+                self.controller.motors.remember(d, drive)
                 if self.controller.at_joints:
                     q, v = d.qpos[index.human_qpos], d.qvel[index.human_dof]
                     limits = self.model.jnt_range[index.human_joint]

@@ -122,14 +122,19 @@ class MjxPhysics:
             pull = muscles.torque(targets.target, q, data.qfrc_bias[index.human_dof])
             torque = pull + self.controller.limit_torque(q, v)
             q, v = data.qpos[index.robot_qpos], data.qvel[index.robot_dof]
-            drive = motors.drive(motors.inertia(data._impl.M), q, v, targets.goal)
+            bias, inertia = data.qfrc_bias[index.robot_dof], motors.inertia(data._impl.M)
+            drive = motors.drive(inertia, bias, q, v, targets.goal)
             applied = data.qfrc_applied.at[index.human_dof].set(torque)
             data = data.replace(
                 qfrc_applied=applied.at[index.robot_dof].set(drive.torque),
                 qvel=data.qvel.at[index.robot_dof].set(drive.velocity),
+                qacc_warmstart=data.qacc_warmstart.at[index.robot_dof].set(drive.guess),
             )
             solref = model.dof_solref.at[index.robot_dof].set(drive.solref)
             data = mjx.step(model.replace(dof_solref=solref), data)
+            forces = (data.qfrc_smooth, data.qfrc_constraint, data.qacc)
+            bias = motors.bias(drive, *(x[index.robot_dof] for x in forces))
+            data = data.replace(qfrc_bias=data.qfrc_bias.at[index.robot_dof].set(bias))
             if self.controller.at_joints:
                 human_q, human_v = index.human_qpos, index.human_dof
                 limits = model.jnt_range[index.human_joint]

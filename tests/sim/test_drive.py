@@ -1,6 +1,7 @@
 """Motors: a velocity at once, within a torque bound, solved together with contacts."""
 
 # ruff: noqa: D103
+import copy
 import dataclasses
 
 import jax
@@ -72,13 +73,56 @@ def test_numpy_and_jax_drive_alike():
     scene = build_scene(TASKS["ScratchItch"], ROBOTS["Jaco"])
     motors = Motors.of(scene.model, scene.index.robot_dof, TASKS["ScratchItch"].control)
     for _ in range(20):
-        q, v, goal = rng.normal(size=(3, 7)).astype(np.float32)
+        bias, q, v, goal = rng.normal(size=(4, 7)).astype(np.float32)
         v *= rng.choice([0.0, 1e-6, 0.1, 1.0])
-        matrix = rng.normal(size=(7, 7)).astype(np.float32)
-        one = motors.drive(matrix, q, v, goal, np)
-        two = motors.drive(jnp.asarray(matrix), jnp.asarray(q), jnp.asarray(v), jnp.asarray(goal))
+        root = rng.normal(size=(7, 7)).astype(np.float32)
+        given = (root @ root.T + np.eye(7, dtype=np.float32), bias, q, v, goal)
+        one, two = motors.drive(*given, np), motors.drive(*map(jnp.asarray, given))
         for a, b in zip(one, two, strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3)
+
+
+def play(model: mujoco.MjModel, motors: Motors, guesses: bool) -> tuple[np.ndarray, float]:
+    """Angles under random actions, and the solver's mean number of iterations per physics step."""
+    rng, data, angles, iterations = np.random.default_rng(0), mujoco.MjData(model), [], []
+    data.M[:] = 0.0
+    data.qpos[motors.qpos] = model.jnt_range[model.dof_jntid[motors.dofs]].mean(axis=1)
+    for _ in range(30):
+        goal = data.qpos[motors.qpos] + 0.25 * rng.uniform(-1.0, 1.0, len(motors.dofs))
+        for _ in range(5):
+            before = data.qacc_warmstart.copy()
+            drive = motors.prepare(model, data, goal)
+            if not guesses:
+                data.qacc_warmstart[:] = before
+            mujoco.mj_step(model, data)
+            motors.remember(data, drive)
+            iterations.append(data.solver_niter[0])
+            angles.append(data.qpos[motors.qpos].copy())
+    return np.array(angles), float(np.mean(iterations))
+
+
+@pytest.mark.parametrize(("task", "robot"), [("ScratchItch", "Jaco"), ("BedBathing", "Sawyer")])
+def test_the_guess_spares_iterations_and_changes_nothing(task: str, robot: str):
+    scene = build_scene(TASKS[task], ROBOTS[robot])
+    model, control = copy.copy(scene.model), TASKS[task].control
+    model.body_pos[scene.index.robot_base] = (0.0, 0.0, 30.0)  # far from everything
+    motors = Motors.of(model, scene.index.robot_dof, control)
+    (angles, iterations), (same, more) = (play(model, motors, guesses) for guesses in (True, False))
+    np.testing.assert_allclose(angles, same, atol=1e-6)
+    assert iterations < 0.75 * more
+
+
+@pytest.mark.parametrize("push", [0.0, 0.4, 3.0])
+def test_the_guess_for_one_joint_is_exact(push: float):
+    model, data, motors = hinge(1.0)
+    for _ in range(3):  # what pushes is known from the second physics step
+        data.qvel[:] = 0.1
+        drive = motors.prepare(model, data, data.qpos + 0.25)
+        data.qfrc_applied += push
+        mujoco.mj_step(model, data)
+        found = data.qacc[0]
+        motors.remember(data, drive)
+    np.testing.assert_allclose(drive.guess, found, rtol=1e-3)
 
 
 def test_the_inertia_is_found_in_any_layout():

@@ -197,8 +197,9 @@ class Motors:
 
     def remember(self, data: mujoco.MjData, drive: Drive) -> None:
         """Keep what ``prepare`` of the next physics step guesses from, when C MuJoCo has taken this one."""
-        forces = (x[self.dofs] for x in (data.qfrc_smooth, data.qfrc_constraint, data.qacc))
-        data.qfrc_bias[self.dofs] = self.bias(drive, *forces, np)
+        dofs = self.dofs
+        smooth, constraint = data.qfrc_smooth[dofs], data.qfrc_constraint[dofs]
+        data.qfrc_bias[dofs] = self.bias(drive, smooth, constraint, data.qacc[dofs], np)
 
 
 def add_motors(spec: mujoco.MjSpec, control: Control, joints: list[str]) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from agym_jax.data.assets import asset_root
 from agym_jax.registry import static_id
 from benchmarks.markdown import NOTHING, RESULTS, Line, grid, matrix, read_results, several, table
+from train.runs import overview
 
 
 def _success(line: Line) -> str:
@@ -50,20 +51,19 @@ def policies(folder: Path = RESULTS) -> str:
 
 
 def selections(folder: Path = RESULTS) -> str:
-    """What all seeds of a setting achieve, and the one that was chosen, over other people."""
-    share = lambda value: f"{value:.1%}"  # noqa: E731
-    columns = {
-        "environment": lambda x: x["env"],
-        "steps of each seed": lambda x: f"{x['num_env_steps'] / 1e6:g} M",
-        "success of each seed": lambda x: ", ".join(map(share, x["success_of_seeds"])),
-        "interquartile mean (95 % interval)": lambda x: (
-            f"{share(x['success_iqm'])} ({share(x['success_iqm_low'])} to {share(x['success_iqm_high'])})"
-        ),
-        "worst": lambda x: share(min(x["success_of_seeds"])),
-        "chosen seed, over other people": lambda x: f"{x['chosen']}: {share(x['chosen_success'])}",
-    }
-    lines = read_results("selection", ("env",), folder)
-    return table(lines, columns, itemgetter("env"), "1,000 episodes of each seed, mode;")
+    """What all seeds of a setting achieve, the one that was chosen over other people, and what training cost."""
+    lines = sorted(read_results("selection", ("env",), folder), key=itemgetter("env"))
+    trainings = {x["env"]: x for x in read_results("seed_training", ("env",), folder)}
+
+    def training(line: Line) -> Line | None:
+        found = trainings.get(line["env"])
+        return found if found and found["time"] == line.get("training_time") else None
+
+    if not lines:
+        return NOTHING
+    rows = [overview.cells(line, training(line)) for line in lines]
+    episodes = several(f"{x['episodes']:,}" for x in lines)
+    return grid([overview.HEADINGS, *rows], lines, f"{episodes} episodes of each seed, mode;")
 
 
 def sweeps(folder: Path = RESULTS) -> str:

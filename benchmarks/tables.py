@@ -23,7 +23,7 @@ from benchmarks.markdown import (
 )
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = (ROOT / "README.md", ROOT / "docs" / "benchmarks.md")
+PAGES = (ROOT / "README.md", ROOT / "docs" / "benchmarks.md", ROOT / "docs" / "seeds.md")
 
 
 class TableError(ValueError):

@@ -126,8 +126,8 @@ def share(value: float) -> str:
 
 
 HEADINGS = (
-    "environment", "seeds x steps", "success of each seed", "worst", "interquartile mean (95 % interval)",
-    "best", "chosen seed, over other people", "90 % after", "wall time",
+    "environment", "seeds x steps", "success of each seed [%]", "worst", "interquartile mean (95 % interval)",
+    "best", "chosen seed, over other people", "90 % after", "wall time (training alone)",
 )  # fmt: skip
 
 
@@ -139,6 +139,7 @@ def cells(selection: Mapping[str, Any], training: Mapping[str, Any] | None) -> l
         training: from ``training_summary``; None leaves its columns empty.
     """
     each = selection["success_of_seeds"]
+    lost = training["num_seeds"] - training["seeds_at_end"] if training else 0
     low, high = selection["success_iqm_low"], selection["success_iqm_high"]
     size, reached, took = str(len(each)), "", ""
     if training:
@@ -147,13 +148,13 @@ def cells(selection: Mapping[str, Any], training: Mapping[str, Any] | None) -> l
         if training["steps_to_90"] is not None:
             seconds = duration(training["seconds_to_90"])
             reached = f"{training['steps_to_90'] / 1e6:.2g} M, {seconds}"
-        wall = training["wall_seconds"]
-        took = duration(training["train_seconds"] if wall is None else wall)
-        took += " (without start)" if wall is None else ""
+        took = duration(training["train_seconds"])
+        if training["wall_seconds"] is not None:
+            took = f"{duration(training['wall_seconds'])} ({took})"
     return [
         selection["env"],
         size,
-        ", ".join(f"{100 * x:.3g}" for x in each),
+        ", ".join(f"{100 * x:.3g}" for x in each) + (f" ({lost} diverged)" if lost else ""),
         share(min(each)),
         f"{share(selection['success_iqm'])} ({share(low)} to {share(high)})",
         share(max(each)),

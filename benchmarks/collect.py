@@ -1,0 +1,247 @@
+"""Results of a suite into this repository: ``python -m benchmarks.collect RUNS [--only NAME ...] [--dry]``.
+
+RUNS is the ``--save-dir`` of ``agym-jax suite``. Of each run whose seeds were measured, the choice
+(``results/selection.jsonl``), what training was (``results/seed_training.jsonl``) and what the chosen policy achieves
+over other people are kept. The chosen policy replaces the one that ships where it succeeds more often, over the same
+people in the same physics if ``select`` measured both; where none ships, from ``--least`` on. Then the tables and the
+picture of the curves are made anew. Collecting the same runs again changes nothing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from agym_jax.data.npz import write_file
+from agym_jax.errors import AgymError
+from agym_jax.policy.files import FILE_NAMES
+from agym_jax.policy.policy import read_policy, save_policy
+from agym_jax.registry import parse
+from benchmarks import seed_curves, tables
+from benchmarks.markdown import RESULTS, Line
+from benchmarks.shipped import recorded
+from train.runs.overview import read_rows, selection_of, training_summary
+
+POLICIES = RESULTS.parent.parent / "assets" / "policies"
+LARGEST = 1_000_000  # bytes of a policy file; the largest networks take 740 kB
+MEASURED = ("commit", "device", "versions", "time", "impl")
+"""Fields of a choice that hold for everything measured with it."""
+
+
+class CollectError(AgymError, ValueError):
+    """Runs that cannot become results."""
+
+
+@dataclass(frozen=True)
+class CollectConfig:
+    """Flags of ``python -m benchmarks.collect``."""
+
+    runs: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUNS")]
+    """Folder of the runs, the --save-dir of the suite."""
+    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Parts of ids; without them, all runs in the folder."""
+    commit: str | None = None
+    """Commit of the code that ran, for runs of a machine without git."""
+    least: float = 0.4
+    """Success from which a policy ships where none does."""
+    dry: bool = False
+    """Say what would be done, and change nothing."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A run whose seeds were measured.
+
+    Attributes:
+        run: its folder.
+        choice: line of ``select``.
+        training: from ``training_summary``.
+    """
+
+    run: Path
+    choice: Line
+    training: Line
+
+
+def find(config: CollectConfig) -> list[Found]:
+    """The runs of a folder that have a choice among their seeds.
+
+    Raises:
+        CollectError: there are none, or nobody knows with which commit they were made.
+    """
+    found = []
+    for run in sorted(path for path in config.runs.glob("*-v0") if path.is_dir()):
+        choice, training = selection_of(run), training_summary(run)
+        if choice and training and (not config.only or any(x in run.name for x in config.only)):
+            commit = choice["commit"] or _known_commit(choice) or config.commit
+            if not commit:
+                raise CollectError(
+                    f"{run} was made on a machine without git. Say with which commit: --commit HASH."
+                )
+            for name in MEASURED:  # config.json may have been lost on the way
+                training[name] = training[name] or choice[name]
+            training["commit"] = commit
+            about = {
+                "training_time": training["time"], "num_env_steps": training["num_env_steps"],
+                "num_envs": training["num_envs"], "commit": commit,
+            }  # fmt: skip
+            found.append(Found(run, choice | about, training))
+    if not found:
+        raise CollectError(
+            f"{config.runs} has no runs with selection.jsonl, config.json and curve.jsonl."
+        )
+    return found
+
+
+def _known_commit(choice: Line) -> str | None:
+    """The commit under which the same choice was kept before."""
+    rows = read_rows(RESULTS / "selection.jsonl")
+    return next((x["commit"] for x in rows if _same(x, choice, ("env", "time"))), None)
+
+
+def _same(a: Line, b: Line, keys: Sequence[str]) -> bool:
+    return all(a.get(key) == b.get(key) for key in keys)
+
+
+def put(name: str, line: Line, keys: Sequence[str]) -> None:
+    """Add a line to a file of results, or replace the one that agrees with it in ``keys``."""
+    path = RESULTS / f"{name}.jsonl"
+    text = path.read_text() if path.is_file() else ""
+    rows = [json.loads(row) for row in text.splitlines() if row.strip()]
+    at = next((i for i, row in enumerate(rows) if _same(row, line, keys)), len(rows))
+    rows[at : at + 1] = [line]
+    text = "".join(json.dumps(row, sort_keys=True) + "\n" for row in rows)
+    write_file(path, text.encode())
+
+
+def evaluation(found: Found, summary: Line, policy: Line) -> tuple[str, Line]:
+    """The line that says what a policy achieves over the people of the report, and the file for it.
+
+    Args:
+        found: the run.
+        summary: of the evaluation.
+        policy: ``info`` of the policy.
+    """
+    line = {
+        **summary,
+        **{name: found.choice[name] for name in MEASURED},
+        "policy": "mode", "deterministic": True, "seed": found.choice["reported_over"],
+        "policy_commit": policy.get("commit") or found.choice["commit"],
+        "policy_env_steps": policy.get("env_steps"),
+    }  # fmt: skip
+    if parse(found.run.name).active:
+        return "crossplay", line | {
+            "kind": "crossplay", "robot_policy": "robot", "human_policy": "person",
+        }  # fmt: skip
+    return "evaluation", line | {"kind": "evaluation"}
+
+
+def reported(choice: Line) -> Line:
+    """What the chosen policy achieves over other people, also of runs that kept less of it."""
+    whole = choice.get("reported")
+    if whole:
+        return whole
+    prefix = "chosen_"
+    kept = {
+        key.removeprefix(prefix): value for key, value in choice.items() if key.startswith(prefix)
+    }
+    kept.pop("over")
+    return kept | {name: choice[name] for name in ("env", "episodes", "nan_episodes", "overflow")}
+
+
+def decide(found: Found, least: float) -> tuple[bool, str]:
+    """Whether the chosen policy is to ship, and why."""
+    name, ours = found.run.name, reported(found.choice)
+    if ours["overflow"] or found.choice["overflow"]:
+        return False, "contacts were lost: not a result"
+    if not (POLICIES / f"{name}.npz").is_file():
+        return ours["success"] >= least, f"none ships, at least {least:.0%} wanted"
+    theirs, where = found.choice.get("shipped"), "the same people"
+    if found.choice.get("shipped_unfit"):
+        return ours["success"] >= least, "what ships fits no more"
+    if not theirs:
+        theirs, where = recorded().get(name), "its recorded evaluation"
+    if not theirs:
+        return ours["success"] >= least, "what ships was never measured"
+    return (
+        ours["success"] > theirs["success"],
+        f"what ships has {theirs['success']:.1%} over {where}",
+    )
+
+
+def ship(found: Found) -> Line:
+    """Copy the chosen policies to those that ship; returns the ``info`` of the robot's.
+
+    Raises:
+        CollectError: a file is too large, or of another environment.
+    """
+    name, info = found.run.name, {}
+    for agent, target in (("human", POLICIES / "human"), ("robot", POLICIES)):
+        source = found.run / FILE_NAMES[agent]
+        if agent == "human" and not parse(name).active:
+            continue
+        policy = read_policy(source)  # checks that it is whole, and never unpickles
+        if source.stat().st_size > LARGEST or policy.info["env"] != name:
+            raise CollectError(
+                f"{source} is of {policy.info['env']} and has {source.stat().st_size:,} bytes; expected "
+                f"{name} and at most {LARGEST:,}."
+            )
+        info = dict(policy.info)
+        info["commit"] = info.get("commit") or found.choice["commit"]
+        save_policy(target / f"{name}.npz", dataclasses.replace(policy, info=info))
+    return info
+
+
+def collect(found: Found, config: CollectConfig) -> tuple[bool, str]:
+    """Keep one run; returns whether its policy ships now, and a line about it."""
+    name, choice = found.run.name, found.choice
+    ships, why = decide(found, config.least)
+    if not config.dry:
+        put("selection", choice, ("env", "time"))
+        put("seed_training", found.training, ("env", "time"))
+        info: dict[str, Any] = {}
+        summary = reported(choice)
+        if ships:
+            info = ship(found)
+        elif (POLICIES / f"{name}.npz").is_file() and choice.get("shipped"):
+            summary, info = choice["shipped"], dict(read_policy(POLICIES / f"{name}.npz").info)
+        if info:
+            put(*evaluation(found, summary, info), ("env", "time", "policy", "human_policy"))
+    low, high = choice["success_iqm_low"], choice["success_iqm_high"]
+    verb = "ships now" if ships else "does not ship"
+    return ships, (
+        f"{name:<28} {len(choice['seeds'])} seeds: worst {min(choice['success_of_seeds']):6.1%}, interquartile "
+        f"mean {choice['success_iqm']:6.1%} ({low:.1%} to {high:.1%}); seed {choice['chosen']} "
+        f"{reported(choice)['success']:6.1%}: {verb} ({why})"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    config = tyro.cli(CollectConfig, prog="python -m benchmarks.collect", args=arguments)
+    try:
+        new = []
+        for found in find(config):
+            ships, text = collect(found, config)
+            new += [found.run.name] * ships
+            print(text, flush=True)
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    if not config.dry:
+        tables.main([])
+        seed_curves.main([])
+        if new:
+            print(f"Their films are to be made anew: python -m benchmarks.clips {' '.join(new)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,175 @@
+# ruff: noqa: D103 (a test's name says what it shows)
+"""Runs of a suite become results of the repository, and what ships is replaced by what is better, only."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from fake_env import FakeEnv
+from fake_pair_env import FakePairEnv
+
+from agym_jax.policy.policy import read_policy
+from benchmarks import collect as collecting
+from benchmarks import markdown, policy_tables, seed_curves, shipped
+from train import coop, ppo, select
+from train.configs import CoopConfig, PPOConfig
+from train.runs.overview import first_time, read_rows, reduced_curve, training_summary
+
+SHORT = {
+    "num_env_steps": 960, "num_envs": 16, "num_mini_batch": 4, "policy_hidden": (8,), "value_hidden": (8,),
+    "log_interval": 1, "num_seeds": 2,
+}  # fmt: skip
+ALONE, PAIR = "ReachingJaco-v0", "ReachingJacoHuman-v0"
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Two trainings with two seeds each, and the choices among them, as a suite leaves them."""
+    folder = tmp_path_factory.mktemp("runs")
+    ppo.train(FakeEnv(name=ALONE), PPOConfig(**SHORT, save_dir=str(folder)))
+    coop.train(FakePairEnv(task_name="ReachingJaco"), CoopConfig(**SHORT, save_dir=str(folder)))
+    for name, env in ((ALONE, FakeEnv(name=ALONE)), (PAIR, FakePairEnv(task_name="ReachingJaco"))):
+        words = [str(folder / name), "--num-episodes", "16", "--no-shipped", "--json"]
+        assert (
+            select.main([*words, str(folder / name / "selection.jsonl")], lambda *_, e=env: e) == 0
+        )
+    return folder
+
+
+@pytest.fixture
+def repository(tmp_path, monkeypatch):
+    """An empty one: results, policies."""
+    results, policies = tmp_path / "results", tmp_path / "policies"
+    results.mkdir()
+    (policies / "human").mkdir(parents=True)
+    monkeypatch.setattr(collecting, "RESULTS", results)
+    monkeypatch.setattr(collecting, "POLICIES", policies)
+    monkeypatch.setattr(
+        collecting,
+        "recorded",
+        lambda: {x["env"]: x for x in read_rows(results / "evaluation.jsonl")},
+    )
+    monkeypatch.setattr(collecting.tables, "main", lambda words: 0)
+    monkeypatch.setattr(collecting.seed_curves, "main", lambda words: 0)
+    return tmp_path
+
+
+def change(runs, name, **fields):
+    """The choice of a run with other figures, in place; returns how it was."""
+    path = runs / name / "selection.jsonl"
+    before = path.read_text()
+    path.write_text(json.dumps(json.loads(before) | fields))
+    return path, before
+
+
+def lines(repository, name):
+    return read_rows(repository / "results" / f"{name}.jsonl")
+
+
+def test_what_a_suite_leaves_becomes_results(runs, repository, capsys):
+    assert collecting.main([str(runs), "--least", "0", "--commit", "abc"]) == 0
+    out = capsys.readouterr().out
+    assert out.count("ships now (none ships, at least 0% wanted)") == 2
+    assert f"benchmarks.clips {ALONE} {PAIR}" in out
+    alone, pair = lines(repository, "selection")
+    assert (alone["env"], pair["env"]) == (ALONE, PAIR) and alone["num_env_steps"] == 960
+    training, _ = lines(repository, "seed_training")
+    assert training["curve"]["env_steps"] and training["num_seeds"] == training["seeds_at_end"] == 2
+    assert training["device"] and training["versions"] and training["commit"]
+    (line,) = lines(repository, "evaluation")
+    assert (line["policy"], line["seed"], line["success"]) == (
+        "mode",
+        1001,
+        alone["chosen_success"],
+    )
+    (crossed,) = lines(repository, "crossplay")
+    assert crossed["human_policy"] == "person" and crossed["env"] == PAIR
+    for path in (f"{ALONE}.npz", f"{PAIR}.npz", f"human/{PAIR}.npz"):
+        assert read_policy(repository / "policies" / path).info["commit"]
+    folder = repository / "results"
+    table = policy_tables.selections(folder)
+    assert f"| {ALONE} | 2 x 0.00096 M |" in table and "not reached" in table
+    assert [run["env"] for run in seed_curves.trainings(folder)] == [ALONE, PAIR]
+    before = {path.name: path.read_text() for path in folder.iterdir()}
+    assert collecting.main([str(runs), "--least", "0", "--commit", "abc"]) == 0
+    assert {path.name: path.read_text() for path in folder.iterdir()} == before
+    assert "does not ship (what ships has" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("shipped_there", "ours", "ships"), [(0.5, 0.6, True), (0.6, 0.6, False), (0.7, 0.6, False)]
+)
+def test_what_ships_is_replaced_by_what_is_better(shipped_there, ours, ships, runs, repository):
+    kept = repository / "policies" / f"{ALONE}.npz"
+    kept.write_bytes((runs / ALONE / "seed_1" / "policy.npz").read_bytes())
+    was = json.loads((runs / ALONE / "selection.jsonl").read_text())["reported"]
+    fields = {"reported": was | {"success": ours}, "shipped": was | {"success": shipped_there}}
+    path, before = change(runs, ALONE, **fields, shipped_unfit="", commit="c" * 40)
+    try:
+        (found,) = collecting.find(collecting.CollectConfig(runs, (ALONE,)))
+        told, text = collecting.collect(found, collecting.CollectConfig(runs))
+    finally:
+        path.write_text(before)
+    assert told is ships and f"what ships has {shipped_there:.1%} over the same people" in text
+    (line,) = lines(repository, "evaluation")  # the newest figure of what ships, whichever that is
+    assert line["success"] == (ours if ships else shipped_there) and line["commit"] == "c" * 40
+
+
+def test_a_run_of_nobody_knows_which_code_is_refused(runs, repository, capsys):
+    path, before = change(runs, ALONE, commit=None)
+    try:
+        assert collecting.main([str(runs), "--dry"]) == 2
+        assert "--commit HASH" in capsys.readouterr().err
+        assert collecting.main([str(runs), "--dry", "--commit", "abc", "--least", "0"]) == 0
+    finally:
+        path.write_text(before)
+    assert not list((repository / "results").iterdir())  # a dry run changes nothing
+    assert collecting.main([str(repository)]) == 2
+
+
+def test_lost_contacts_do_not_ship(runs, repository):
+    path, before = change(runs, ALONE, overflow=3)
+    try:
+        (found,) = collecting.find(collecting.CollectConfig(runs, (ALONE,), commit="abc"))
+    finally:
+        path.write_text(before)
+    assert collecting.decide(found, 0.0) == (False, "contacts were lost: not a result")
+
+
+def test_the_picture_is_drawn_when_what_it_shows_has_changed(runs, tmp_path, capsys):
+    results, picture = tmp_path / "results", tmp_path / "curves.png"
+    results.mkdir()
+    assert seed_curves.main(["--check"], results, picture) == 0  # nothing to show
+    file = results / "seed_training.jsonl"
+    summary = training_summary(runs / ALONE)
+    file.write_text(json.dumps(summary) + "\n")
+    assert seed_curves.main(["--check"], results, picture) == 1
+    assert seed_curves.main([], results, picture) == 0 and picture.stat().st_size > 5_000
+    assert seed_curves.main(["--check"], results, picture) == 0
+    file.write_text(json.dumps(summary | {"num_seeds": 8}) + "\n")
+    assert seed_curves.main(["--check"], results, picture) == 1
+    assert "benchmarks.seed_curves" in capsys.readouterr().err
+
+
+def test_the_curve_that_is_kept():
+    row = {"success": None, "env_steps": 1, "seconds": 0.5}
+    later = [
+        {"success": x, "success_low": x - 0.01, "env_steps": 1234567 * i, "seconds": 1.23456 * i}
+        for i, x in enumerate((0.5, 0.91234, 0.8), 1)
+    ]
+    curve = reduced_curve([row, *later])
+    assert curve["success"] == [0.5, 0.9123, 0.8] and curve["env_steps"][0] == 1234567
+    assert first_time(curve) == (2469134, 2.469) and first_time(curve, 0.95) is None
+    assert first_time(reduced_curve([row])) is None
+    assert np.allclose(curve["success_low"], [0.49, 0.9023, 0.79])
+
+
+def test_the_results_of_this_repository_are_whole():
+    for line in seed_curves.trainings(markdown.RESULTS):
+        assert line["commit"] and line["device"]["kind"] and line["versions"]["jax"], line["env"]
+        assert len(line["curve"]["success"]) == len(line["curve"]["success_low"]) > 10
+    for line in markdown.read_results("selection", ("env",)):
+        assert line["commit"] and line["chosen_over"] != line["reported_over"]
+    assert set(shipped.shipped_ids()) <= shipped.recorded().keys()

@@ -19,7 +19,7 @@ TWO = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
 
 # One rollout, learned from whole on one device and in two halves on two devices.
 SAME_UPDATE = """
-import json
+import dataclasses, json
 import jax, jax.numpy as jnp, numpy as np
 from jax.sharding import PartitionSpec as P
 from fake_pair_env import FakePairEnv
@@ -27,6 +27,7 @@ from train.configs import CoopConfig, PPOConfig
 from train.learning.agents import Agents
 from train.learning.ppo import Hyper
 from train.learning.rollout import collect, critic_obs, init_rollout
+from train.learning.seeds import SideBySide, lane_keys, lanes_of
 from train.learning.sharding import AXIS, device_mesh
 
 SETTINGS = dict(num_mini_batch=1, ppo_epoch=3, policy_hidden=(16,), value_hidden=(16,), lr=1e-2,
@@ -38,15 +39,32 @@ cases = {
     "two agents": Agents(CoopConfig(**SETTINGS), env, PAIR),
     "central critic": Agents(CoopConfig(**SETTINGS, central_critic=True), env, PAIR),
 }
+for name in ("one agent", "two agents"):
+    single = cases[name]
+    lanes = lanes_of(dataclasses.replace(single.config, num_seeds=2))
+    cases[name + ", two seeds"] = SideBySide(single, lanes)
 found = {}
 for name, agents in cases.items():
-    venv = env.vectorize(8)
-    learner = jax.jit(agents.init)(jax.random.PRNGKey(0))
-    rollout = init_rollout(venv, jax.random.PRNGKey(1), True)
+    seeds = getattr(agents, "count", 1)
+
+    def keys(number):
+        several = jax.random.split(jax.random.PRNGKey(number), seeds)
+        return several if seeds > 1 else several[0]
+
+    def by_device(x, axis):
+        # of each seed, one half of the environments after the other; now of each half, one seed after the other
+        shape = x.shape
+        x = x.reshape(*shape[:axis], seeds, 2, -1, *shape[axis + 1:])
+        return jnp.swapaxes(x, axis, axis + 1).reshape(shape)
+
+    venv = env.vectorize(8 * seeds)
+    learner = jax.jit(agents.init)(keys(0))
+    rollout = init_rollout(venv, keys(1), True)
     rollout, batch, _ = jax.jit(lambda rollout: collect(
-        lambda obs, key: agents.act(learner, obs, key), venv, rollout, jax.random.PRNGKey(2),
+        lambda obs, key: agents.act(learner, obs, key), venv, rollout, keys(2),
         num_steps=30, gamma=0.99, reward_scaling=1.0))(rollout)
-    key, hyper = jax.random.PRNGKey(3), Hyper.of(agents.config, 1000)
+    key = keys(3)
+    hyper = agents.hyper(1000)
 
     def learn(learner, batch, last, axis=None):
         return agents.learn(learner, batch, last, key, hyper, axis)
@@ -56,8 +74,10 @@ for name, agents in cases.items():
     shared = jax.shard_map(
         lambda *x: learn(*x, axis=AXIS), mesh=device_mesh(0), check_vma=False,
         in_specs=(P(), P(None, AXIS), P(AXIS)), out_specs=P())
-    halves, losses_of_two = jax.jit(shared)(learner, batch, last)
-    own_half, _ = jax.jit(learn)(learner, jax.tree.map(lambda x: x[:, :4], batch), last[:4])
+    split, last = jax.tree.map(lambda x: by_device(x, 1), batch), by_device(last, 0)
+    halves, losses_of_two = jax.jit(shared)(learner, split, last)
+    count = 4 * seeds
+    own_half, _ = jax.jit(learn)(learner, jax.tree.map(lambda x: x[:, :count], split), last[:count])
 
     def apart(a, b):
         pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
@@ -69,7 +89,7 @@ for name, agents in cases.items():
         "all": apart(whole, halves), "losses": apart(losses, losses_of_two),
         "moved": apart(params(whole), params(learner)),
         "half": apart(params(whole), params(own_half)),
-        "steps": int(halves.env_steps),
+        "steps": int(halves.env_steps.max()),
     }
 print(json.dumps(found))
 """
@@ -143,6 +163,41 @@ for fields in ({"devices": 3}, {"num_envs": 33}):
 print(json.dumps(found))
 """
 
+# Two seeds on one and on two devices, a robot alone and a pair, with a run that goes on with another number of them.
+SEEDS = """
+import dataclasses, json, tempfile
+import jax
+from pathlib import Path
+from fake_pair_env import FakePairEnv
+from train.configs import CoopConfig, PPOConfig
+from train import coop, ppo
+
+BASE = dict(num_env_steps=60_000, num_envs=32, num_mini_batch=4, policy_hidden=(32,), num_seeds=2,
+            value_hidden=(32,), lr=2e-3, log_interval=8, save_dir=None)
+found = {}
+for devices in (1, 2):
+    result = ppo.train(FakePairEnv(active=False), PPOConfig(**BASE, devices=devices))
+    found[f"on {devices}"] = {
+        "success": [seed.curve[-1]["success"] for seed in result.seeds], "steps": result.env_steps,
+        "episodes": sum(row["episodes"] for row in result.curve), "used": result.config.devices,
+        "rows": [len(seed.curve) for seed in result.seeds], "session": result.session_steps,
+    }
+with tempfile.TemporaryDirectory() as folder:
+    config, sessions = CoopConfig(**BASE | {"save_dir": folder}), []
+    for devices, rounds in ((2, 8), (1, 16), (2, 24)):
+        part = dataclasses.replace(config, num_env_steps=640 * rounds, devices=devices)
+        result = coop.train(FakePairEnv(), part)
+        sessions.append([result.session_steps, result.config.devices])
+    found["sessions"] = sessions
+    run = Path(folder) / "FakeCarryHuman-v0"
+    for seed in ("seed_1", "seed_2"):
+        rows = [json.loads(line) for line in (run / seed / "curve.jsonl").read_text().splitlines()]
+        found[seed] = [row["env_steps"] for row in rows]
+    found["files"] = sorted(path.name for path in run.glob("seed_*/*.npz"))
+    found["combined"] = [[row["env_steps"], row["num_seeds"]] for row in result.curve]
+print(json.dumps(found))
+"""
+
 # One of two hosts, each with one device.
 HOST = """
 import json, sys
@@ -182,7 +237,7 @@ def piped(code: str, **options) -> subprocess.Popen:
 @pytest.mark.slow
 def test_an_update_on_two_devices_is_the_update_on_one():
     found = last_line(piped(SAME_UPDATE, env=TWO))
-    assert len(found) == 3
+    assert len(found) == 5
     for name, gaps in found.items():
         assert gaps["all"] < 2e-4 and gaps["losses"] < 2e-4, (name, gaps)
         assert gaps["moved"] > 1e-2 and gaps["half"] > 1e-3, (name, gaps)
@@ -213,6 +268,21 @@ def test_training_on_two_devices_is_as_good_as_on_one():
     too_many, odd = found["refused"]
     assert "--devices 3 were asked for; JAX sees 2 (cpu)" in too_many
     assert "33 environments cannot be shared by 2 devices" in odd and "--num-envs 32" in odd
+
+
+@pytest.mark.slow
+def test_two_seeds_on_two_devices_learn_as_on_one_and_are_resumed_whole():
+    found = last_line(piped(SEEDS, env=TWO))
+    one, two = found["on 1"], found["on 2"]
+    assert (one["used"], two["used"]) == (1, 2)
+    for run in (one, two):
+        assert len(run["success"]) == 2 and min(run["success"]) > 0.9
+        assert run["steps"] == 94 * 640 and run["session"] == 2 * 94 * 640
+    assert one["rows"] == two["rows"] and abs(one["episodes"] - two["episodes"]) <= 64
+    assert found["sessions"] == [[2 * 640 * 8, devices] for devices in (2, 1, 2)]
+    assert found["seed_1"] == found["seed_2"] == [640 * 8, 640 * 16, 640 * 24]
+    assert found["combined"] == [[640 * rounds, 2] for rounds in (8, 16, 24)]
+    assert found["files"] == ["human_policy.npz"] * 2 + ["policy.npz"] * 2
 
 
 def free_port() -> int:

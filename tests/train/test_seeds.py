@@ -64,6 +64,24 @@ def test_each_of_several_seeds_learns_as_it_would_alone(case):
                 assert row[name] == pytest.approx(other[name], rel=1e-3, abs=1e-4), name
 
 
+@pytest.mark.slow
+def test_seeds_beside_a_frozen_partner(tmp_path):
+    first = coop.train(FakePairEnv(), CoopConfig(**SETTINGS | {"save_dir": str(tmp_path)}))
+    frozen = {
+        "robot_policy": str(tmp_path / "FakeCarryHuman-v0" / "policy.npz"),
+        "freeze_robot": True,
+    }
+    config = CoopConfig(**SETTINGS | frozen | {"seed": 8}, num_seeds=2)
+    together = coop.train(FakePairEnv(), config)
+    kept = weights({"robot": first.policies["robot"]})
+    humans = [weights({"human": found.policies["human"]}) for found in together.seeds]
+    for found in together.seeds:
+        np.testing.assert_array_equal(weights({"robot": found.policies["robot"]}), kept)
+    assert np.abs(humans[0] - humans[1]).max() > 0.01
+    alone = coop.train(FakePairEnv(), dataclasses.replace(config, seed=9, num_seeds=1))
+    np.testing.assert_allclose(humans[1], weights({"human": alone.policies["human"]}), atol=2e-4)
+
+
 def test_the_combined_curve_tells_of_all_seeds():
     result = ppo.train(FakeEnv(), PPOConfig(**SETTINGS, num_seeds=4))
     last = result.curve[-1]

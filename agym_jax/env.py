@@ -30,13 +30,13 @@ from jax import Array
 
 from agym_jax import observe
 from agym_jax.data.banks import load_bank
-from agym_jax.errors import ActionError, SpecError, WrapperError
+from agym_jax.errors import SpecError, WrapperError
 from agym_jax.human.population import Population
 from agym_jax.jax_settings import full_precision
 from agym_jax.math3d import first_sign, nearest_sign
 from agym_jax.rendering.raycast import Marker
 from agym_jax.sense import Motion, Sensed, quats_of, with_quats
-from agym_jax.sim.control import Controller, ControlTargets
+from agym_jax.sim.control import Controller, ControlTargets, checked_action
 from agym_jax.sim.episode import EpisodeSample, geom_sizes, make_episode, sample_episode
 from agym_jax.sim.physics import build_physics, check_traceable, choose_impl
 from agym_jax.sim.pictures import markers_of, picture_model, write_pose
@@ -200,28 +200,23 @@ class AssistiveEnv:
         Raises:
             ActionError: the shape is wrong, or (outside of jit) entries are not finite.
         """
-        action = self._checked(action)
+        action = checked_action(action, self.action_sizes, self.name)
         check_traceable(self.physics, state.data.qpos, action)
         # control
         targets = self._targets(state.episode, state.data.qpos, action)
         # physics
         data, contacts, motion = self.physics.step(state.data, state.episode, targets)
         # sense -> task -> observe
-        after = self._evaluate(data, contacts, motion, state.task, state.episode, targets)
-        # where Brax's EpisodeWrapper counts, it sets the limit too; else it would take ours for a failure
-        done = after.metrics["nan"] if "steps" in state.info else after.done
-        return state.replace(
-            data=data,
-            obs=after.obs,
-            privileged_obs=after.privileged_obs,
-            reward=after.reward,
-            done=done,
-            metrics={**state.metrics, **after.metrics},
-            task=after.task,
-            episode=dataclasses.replace(
-                state.episode, human_target=targets.hold, step=after.step, quats=after.quats
-            ),
+        after, clock = self._evaluate(
+            data, contacts, motion, state.task, state.quats, state.episode, targets
         )
+        if "steps" in state.info:
+            # Brax's EpisodeWrapper counts there and sets the limit too; it would take ours for a failure. It wraps
+            # the environment itself and reads ``done`` at once, so nothing of our adapter is between them.
+            after["done"] = after["metrics"]["nan"]
+        after["metrics"] = {**state.metrics, **after["metrics"]}
+        episode = dataclasses.replace(state.episode, human_target=targets.hold, step=clock)
+        return state.replace(data=data, episode=episode, **after)
 
     def _evaluate_step(
         self,
@@ -229,13 +224,14 @@ class AssistiveEnv:
         contacts: ContactSums,
         motion: Motion,
         task: Any,
+        quats_before: Array,
         episode: Episode,
         targets: ControlTargets,
-    ) -> _Evaluated:
-        """Sense -> task -> observe, and the guard against NaN."""
+    ) -> tuple[dict[str, Any], Array]:
+        """Sense -> task -> observe, and the guard against NaN: fields of ``State``, and steps done ()."""
         # sense
         sensed = self._sense(data, contacts, motion, episode)
-        quats = nearest_sign(quats_of(sensed), episode.quats)
+        quats = nearest_sign(quats_of(sensed), quats_before)
         sensed = with_quats(sensed, quats)
         # task
         task, events = self.task.advance(task, sensed)
@@ -249,17 +245,16 @@ class AssistiveEnv:
         )  # fmt: skip
         rewards = {k: jnp.where(bad, 0.0, v) for k, v in rewards.items()}
         step = episode.step + 1
-        after = _Evaluated(
-            task=task,
-            obs=jnp.where(bad, 0.0, obs),
-            privileged_obs=privileged_obs,
-            reward=jnp.asarray(sum(rewards.values())),
-            done=((step >= self.episode_length) | bad).astype(jnp.float32),
-            metrics=self._metrics(task, rewards, sensed, data, bad),
-            step=step,
-            quats=jnp.where(bad, episode.quats, quats),
-        )
-        return strong(after)
+        after = {
+            "task": task,
+            "obs": jnp.where(bad, 0.0, obs),
+            "privileged_obs": privileged_obs,
+            "quats": jnp.where(bad, quats_before, quats),
+            "reward": jnp.asarray(sum(rewards.values())),
+            "done": ((step >= self.episode_length) | bad).astype(jnp.float32),
+            "metrics": self._metrics(task, rewards, sensed, data, bad),
+        }
+        return strong((after, step))
 
     def jit_functions(self) -> tuple[Callable[[Array], State], Callable[[State, Array], State]]:
         """``reset`` and ``step`` of one environment, compiled as far as the physics allows."""
@@ -277,23 +272,16 @@ class AssistiveEnv:
         xp = jnp if self.physics.traceable else np
         episode = strong(make_episode(self.scene, self.task.human, sample, xp))
         if where is not None and old is not None:
-            episode = select(where, episode, dataclasses.replace(old.episode, quats=None))
+            episode = select(where, episode, old.episode)
         data = self.physics.reset(data, episode, where)
-        task, obs, privileged_obs, quats, success = self._init_task(key_task, data, episode)
+        seen, success = self._init_task(key_task, data, episode)
         if where is not None and old is not None:
-            fresh = (task, obs, privileged_obs, quats)
-            kept = (old.task, old.obs, old.privileged_obs, old.episode.quats)
-            task, obs, privileged_obs, quats = select(where, fresh, kept)
-        episode = dataclasses.replace(episode, quats=quats)
-        if old is not None:
-            return old.replace(
-                data=data, obs=obs, privileged_obs=privileged_obs, task=task, episode=episode
-            )
+            seen = select(where, seen, {name: getattr(old, name) for name in seen})
+            return old.replace(data=data, episode=episode, **seen)
         zero = jnp.float32(0.0)
         metrics = dict.fromkeys(self.metric_names, zero) | {"success": success}
         return State(
-            data=data, obs=obs, privileged_obs=privileged_obs, reward=zero, done=zero,
-            metrics=metrics, info={}, task=task, episode=episode, key=key,
+            data=data, reward=zero, done=zero, metrics=metrics, info={}, episode=episode, key=key, **seen
         )  # fmt: skip
 
     def _sample_episode(self, rng: Array) -> tuple[EpisodeSample, Array, Array]:
@@ -302,10 +290,8 @@ class AssistiveEnv:
         sample = sample_episode(keys, self.scene, self.task.human, self.humans, self._bank)
         return strong((sample, key_task, key))
 
-    def _begin_task(
-        self, key: Array, data: Any, episode: Episode
-    ) -> tuple[Any, Array, Array | None, Array, Array]:
-        """The task as it begins, what is seen of it, with which quaternions, and whether that is a success already."""
+    def _begin_task(self, key: Array, data: Any, episode: Episode) -> tuple[dict[str, Any], Array]:
+        """How the task begins: fields of ``State``, and whether that is a success already ()."""
         index = self.scene.index
         motion = motion_at_rest(index, data, self.task.control.frame_skip)
         sensed = self._sense(data, no_contacts(index), motion, episode)
@@ -313,7 +299,9 @@ class AssistiveEnv:
         sensed = with_quats(sensed, quats)
         task = self.task.init(key, sensed)
         success = jnp.asarray(self.task.success(task)).astype(jnp.float32)
-        return strong((task, *self._observe(task, sensed), quats, success))
+        obs, privileged_obs = self._observe(task, sensed)
+        seen = {"task": task, "obs": obs, "privileged_obs": privileged_obs, "quats": quats}
+        return strong((seen, success))
 
     # -- what stages share ---------------------------------------------------------------------
 
@@ -356,19 +344,6 @@ class AssistiveEnv:
         terms = {f"reward/{name}": value for name, value in rewards.items()}
         return terms | dict(zip(METRICS, values, strict=True))
 
-    def _checked(self, action: Any) -> Any:
-        """An action as float32; under jit nothing can be said about its entries."""
-        shape, xp = np.shape(action), jnp if isinstance(action, jax.core.Tracer) else np
-        if shape != (self.action_size,):
-            parts = " + ".join(f"{v} {k}" for k, v in self.action_sizes.items())
-            raise ActionError(
-                f"{self.name} takes actions of shape ({self.action_size},) ({parts}), got "
-                f"{shape}. Batches go through jax.vmap or agym_jax.wrappers.vectorize."
-            )
-        if xp is np and not np.all(np.isfinite(action)):
-            raise ActionError(f"{self.name} was given an action with NaN or infinity: {action}.")
-        return xp.asarray(action, np.float32)
-
     # -- pictures --------------------------------------------------------------------------------
 
     def to_mujoco(
@@ -398,21 +373,6 @@ class AssistiveEnv:
     def markers(self, state: State) -> list[Marker]:
         """What the task draws into pictures of one environment."""
         return markers_of(self.task, state)
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class _Evaluated:
-    """What the task makes of a control step."""
-
-    task: Any
-    obs: Array  # (n_obs,)
-    privileged_obs: Array | None  # (n_privileged,)
-    reward: Array  # ()
-    done: Array  # ()
-    metrics: dict[str, Array]  # each ()
-    step: Array  # control steps done ()
-    quats: Array  # as observed (n, 4)
 
 
 def _introduce_to_brax() -> None:

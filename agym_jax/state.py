@@ -39,7 +39,6 @@ class Episode:
     human_angles: jax.Array  # start angles of the moving joints [rad]        (n_person,)
     human_target: jax.Array  # what the muscles hold, without tremor [rad]    (n_person,)
     step: jax.Array  # control steps done, int32                               ()
-    quats: Any = None  # as last observed, wxyz, see ``sense.quats_of``          (n, 4)
 
 
 @jax.tree_util.register_dataclass
@@ -53,6 +52,7 @@ class PipelineState:
     data: Any  # mjx.Data
     task: Any  # the task's own pytree
     episode: Episode
+    quats: Any  # as last observed (n, 4)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name == "data":
@@ -70,21 +70,22 @@ class State:
     reward: jax.Array  #                                                      ()
     done: jax.Array  # 1.0 when the episode is over                           ()
     metrics: dict[str, jax.Array]  # every reward term, forces, success, ...   each ()
-    info: dict[str, Any]  # belongs to wrappers; the environment never reads it
+    info: dict[str, Any]  # belongs to wrappers; see ``AssistiveEnv.step`` on Brax's
     task: Any  # the task's own pytree
     episode: Episode
     key: jax.Array
     privileged_obs: Any = (
         None  # for value functions: what nobody observes, if anything (n_privileged,)
     )
+    quats: Any = None  # as last observed, wxyz, see ``sense.quats_of``          (n, 4)
 
     def replace(self, **changes: Any) -> State:
-        """A copy with some fields changed; ``pipeline_state`` stands for data, task and episode."""
+        """A copy with some fields changed; ``pipeline_state`` stands for all that it has."""
         whole = changes.pop("pipeline_state", None)
         if isinstance(whole, PipelineState):
             if "first_pipeline_state" in self.info:
                 warnings.warn(SAME_HUMAN, stacklevel=2)
-            changes = {"data": whole.data, "task": whole.task, "episode": whole.episode} | changes
+            changes = vars(whole) | changes
         elif whole is not None:
             changes["data"] = whole
         return dataclasses.replace(self, **changes)
@@ -98,7 +99,7 @@ class State:
         """
         if getattr(getattr(self.data, "impl", None), "value", None) == "warp":
             raise WrapperError(WARP_RESET)
-        return PipelineState(self.data, self.task, self.episode)
+        return PipelineState(self.data, self.task, self.episode, self.quats)
 
 
 def strong(tree: Any) -> Any:

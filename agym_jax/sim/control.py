@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from agym_jax.errors import ActionError
 from agym_jax.human import body, limits, muscles
 from agym_jax.human.population import Human
 from agym_jax.sim.index import Index
@@ -41,6 +42,31 @@ class ControlTargets:
     goal: Array  # of the robot's joints, within their limits [rad]           (n_arm,)
     target: Array  # of the muscles, tremor included [rad]                    (n_person,)
     hold: Array  # the same without tremor, to be remembered [rad]            (n_person,)
+
+
+def checked_action(action: Any, sizes: dict[str, int], name: str) -> Any:
+    """An action as float32.
+
+    Args:
+        action: of one environment; under jit nothing can be said about its entries.
+        sizes: how many entries belong to which agent, in order.
+        name: of the environment.
+
+    Raises:
+        ActionError: the shape is wrong, or (outside of jit) entries are not finite.
+    """
+    size, shape = sum(sizes.values()), np.shape(action)
+    if shape != (size,):
+        parts = " + ".join(f"{v} {k}" for k, v in sizes.items())
+        raise ActionError(
+            f"{name} takes actions of shape ({size},) ({parts}), got {shape}. Batches go through "
+            f"jax.vmap or agym_jax.wrappers.vectorize."
+        )
+    if isinstance(action, jax.core.Tracer):
+        return jnp.asarray(action, np.float32)
+    if not np.all(np.isfinite(action)):
+        raise ActionError(f"{name} was given an action with NaN or infinity: {action}.")
+    return np.asarray(action, np.float32)
 
 
 @dataclass(frozen=True, eq=False)  # has arrays in it: equal if identical

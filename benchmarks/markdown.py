@@ -12,6 +12,10 @@ from agym_jax.tasks import TASKS
 
 RESULTS = Path(__file__).resolve().parent / "results"
 NOTHING = "*No results yet.*"
+PHYSICS_SINCE = "2026-11-22T18:00"
+"""When the present physics came about (UTC, as in results): starts, motors, friction, bed and heads as in Assistive Gym. Tables
+mark what was measured before. Set it anew with a change that makes older figures wrong."""
+EARLIER = "†"
 Line = dict[str, Any]
 
 
@@ -34,11 +38,31 @@ def read_results(name: str, keys: Sequence[str], folder: Path = RESULTS) -> list
     return list(newest.values())
 
 
+def is_earlier(line: Line) -> bool:
+    """Whether a result is of an earlier physics than the present one."""
+    return "time" in line and line["time"] < PHYSICS_SINCE
+
+
 def about(lines: Sequence[Line]) -> str:
-    """On what, and with which commits, the lines were measured."""
+    """On what, with which commits and when the lines were measured, and whether the physics was the present one."""
     kinds = list(dict.fromkeys(line["device"]["kind"] for line in lines))
     commits = list(dict.fromkeys(str(line["commit"])[:8] for line in lines))
-    return f"{', '.join(kinds)}; commit {', '.join(commits)}."
+    days = sorted({line["time"][:10] for line in lines if "time" in line})
+    when = f"; {' to '.join(dict.fromkeys([days[0], days[-1]]))}" if days else ""
+    earlier = [is_earlier(line) for line in lines]
+    day = PHYSICS_SINCE.replace("T", ", ") + " UTC"
+    before = ""
+    if all(earlier) and earlier:
+        before = f" **Measured before the present physics** (since {day})."
+    elif any(earlier):
+        before = f" {EARLIER} **measured before the present physics** (since {day})."
+    return f"{', '.join(kinds)}; commit {', '.join(commits)}{when}.{before}"
+
+
+def mark(lines: Sequence[Line]) -> Callable[[Line], str]:
+    """What is put behind a line's name or figure: a sign for those of an earlier physics, if others are not."""
+    mixed = len({is_earlier(line) for line in lines}) == 2
+    return lambda line: f" {EARLIER}" if mixed and is_earlier(line) else ""
 
 
 def table(
@@ -57,7 +81,10 @@ def table(
     """
     if not lines:
         return NOTHING
+    sign = mark(lines)
     rows = [[cell(x) for cell in columns.values()] for x in sorted(lines, key=order)]
+    for row, line in zip(rows, sorted(lines, key=order), strict=True):
+        row[0] = f"{row[0]}{sign(line)}"
     return grid([list(columns), *rows], lines, note)
 
 
@@ -83,11 +110,12 @@ def matrix(lines: Sequence[Line], cell: Callable[[Line], str], note: str = "") -
         note: what to say before the device and the commits.
     """
     pairs = {(t, r): f"{t}{r}-v0" for t in TASKS for r in ROBOTS}
-    of = {line["env"]: cell(line) for line in lines if line["env"] in pairs.values()}
-    if not of:
+    used = [line for line in lines if line["env"] in pairs.values()]
+    if not used:
         return NOTHING
+    sign = mark(used)
+    of = {line["env"]: cell(line) + sign(line) for line in used}
     rows = [["", *ROBOTS], *([t, *(of.get(pairs[t, r], "") for r in ROBOTS)] for t in TASKS)]
-    used = [line for line in lines if line["env"] in of]
     return grid([row for row in rows if any(row[1:])], used, note)
 
 

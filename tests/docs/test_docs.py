@@ -22,6 +22,7 @@ from paths import ROOT
 import agym_jax
 from agym_jax.__main__ import ALIASES, COMMANDS, find
 from benchmarks import deviations, tables
+from benchmarks.markdown import EARLIER
 
 README = (ROOT / "README.md").read_text()
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
@@ -79,6 +80,22 @@ def test_a_matrix_has_tasks_as_rows_and_robots_as_columns(tmp_path):
     head, _, row, *_ = shown.splitlines()[1:]
     column = head.split("|").index(" Jaco ")
     assert row.split("|")[1] == " ScratchItch " and row.split("|")[column] == " 1,235 k "
+
+
+@pytest.mark.parametrize("name", ["speed", "throughput"])
+def test_tables_say_what_was_measured_before_the_present_physics(tmp_path, name):
+    def shown(*times: str) -> str:
+        envs = ("ScratchItchJaco-v0", "FeedingJaco-v0")
+        lines = [{**RESULT, "env": e, "time": t} for e, t in zip(envs, times, strict=True)]
+        (tmp_path / "throughput.jsonl").write_text("\n".join(map(json.dumps, lines)))
+        return tables.TABLES[name](tmp_path)
+
+    new, old = "2126-01-02T00:00:00+00:00", "2026-01-02T00:00:00+00:00"
+    assert EARLIER not in shown(new, new) and "before" not in shown(new, new)
+    assert "Measured before the present physics" in shown(old, old)
+    mixed = shown(new, old)
+    rows = [row for row in mixed.splitlines() if EARLIER in row]
+    assert len(rows) == 2 and "Feeding" in rows[0] and "2026-01-02 to 2126-01-02" in rows[1]
 
 
 def test_list_of_deviations_is_up_to_date():

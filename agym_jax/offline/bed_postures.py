@@ -1,27 +1,30 @@
 """Banks of postures of people who have settled on the bed, as ``human/posture.py`` reads them.
 
-    agym-jax postures build [BedBathing ArmManipulation] [--seed 0] [--each 128]
+    agym-jax postures build BedBathing --recorded benchmarks/parity/traces/settled_BedBathing.npz
+    agym-jax postures build ArmManipulation --recorded benchmarks/parity/traces/settled_ArmManipulation.npz
     agym-jax postures report        # how they compare with Assistive Gym's
 
 As Assistive Gym does at every reset (bed_bathing.py, arm_manipulation.py; reference tasks.md
 sections 3 and 7), a person without muscle torques falls onto the bed for 2 s at -1 m/s^2, face up, with joint
 angles U(-0.1, 0.1) rad within the person's own limits; in ArmManipulation the right arm, then the only part
-that moves, is placed over the bed's edge and falls again for 2 s. Masses, drag and friction are AG's: every centre of
-mass at its joint, no damping of joints, rolling and spinning friction of the bed. Here that is done
-once, offline, with C MuJoCo.
+that moves, is placed over the bed's edge and falls again for 2 s. People of its own sizes lie as they came to rest in
+Assistive Gym itself, recorded there (``--recorded``). Everybody else falls here, offline, in C MuJoCo, with AG's masses,
+drag and friction: every centre of mass at its joint, no damping of joints, rolling and spinning friction of the bed.
 
 A bank has six equal parts, in this order: Assistive Gym's man with full joint limits, the same man with
 limits scaled by U(0.5, 1), its woman with full and with scaled limits, and people of random size with full
 and with scaled limits. Every part with scaled limits spans 0.5 to 1 evenly, in ascending order.
 
 DEVIATION(settle): an episode begins in the posture after AG's 2 s but at rest; AG starts with the velocities that
-remain, in ArmManipulation at most 0.3 rad/s in girdle, shoulder and elbow for three of four people, 2.7 at most. The fall is
-MuJoCo's, with contacts of 60 ms, as stiff ones let arms bounce away from the body: on average chest, head, elbow and wrist
-are as high as AG's within 1 cm, but for a man's hand (1.2 cm lower on the bed; 2.7 cm higher where it hangs, as one arm in
-six is still bent then) and a woman's hanging elbow (1.3 cm lower). Hands spread less across the bed for a woman (5 cm instead of 9), as AG's sometimes pass
-through the mattress, and along it where the arm hangs (4 cm instead of 7).
+remain, in ArmManipulation at most 0.3 rad/s in girdle, shoulder and elbow for three of four people, 2.7 at most. People whose right arm AG
+leaves inside the mattress, through whose triangles hands slip, are left out: 11 % of women and 26 % of those with scaled limits in BedBathing,
+16 to 35 mm deep; nobody else. People of other sizes fall in MuJoCo, with contacts of
+60 ms, as stiff ones let arms bounce away from the body; tried with AG's sizes, this leaves chest, head, elbow and wrist as high as AG's
+within 1 cm on average, but for a man's hand (1.2 cm lower on the bed; 2.7 cm higher where it hangs) and a woman's hanging elbow (1.3 cm
+lower), and hands spread less, across the bed (5 cm instead of 9) and along it where the arm hangs (4 cm instead of 7).
 DEVIATION(posture-bank): a reset samples a settled person of similar size, with the same or slightly narrower
-limits. AG's sizes lie as settled; others begin up to 16 mm inside the bed, arms up to 12 mm above it.
+limits. AG's sizes lie as in AG, whose mattress differs by some millimetres under the body: trunk, legs and left arm, which do not
+move, are up to 37 mm inside ours (a left hand; legs 15 mm), or 5 mm above it. Others begin up to 16 mm inside the bed, arms up to 12 mm above it.
 """
 
 from __future__ import annotations
@@ -30,19 +33,22 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
+from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from agym_jax.data.assets import asset_path
-from agym_jax.errors import AgymError, UnknownNameError
+from agym_jax.data.npz import read_arrays
+from agym_jax.errors import AgymError, MissingPostureError, UnknownNameError
 from agym_jax.human import body
 from agym_jax.human.model import build as build_human
 from agym_jax.human.muscles import DRAG
 from agym_jax.human.population import Population
 from agym_jax.human.posture import (
+    SHAPES,
     Postures,
     bank_of,
     load_postures,
@@ -63,6 +69,7 @@ SELF_FRICTION = 0.25  # AG: the product of 0.5 and 0.5
 SKULL_BACK = 0.067  # of AG's head mesh, from the head's joint; the capsule is flatter [m]
 MAX_PENETRATION, MAX_GAP = 0.006, 0.002  # of the person and the bed, in a row [m]
 MAX_SHIFT = 0.1  # a chest that has moved across the bed by more has fallen off [m]
+MOST_DISTINCT = 0.9  # of a part's recorded rows, at least; the others occur twice
 MAX_TRIES = 6  # falls per row, on average, before the search for a bank is ended
 
 
@@ -238,13 +245,64 @@ def settle(
     return "floats" if floats else human
 
 
-def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Counter]:
+def read_recorded(path: Path) -> Postures:
+    """People whom AG settled, in four parts of any length, ordered like a bank's first; float32.
+
+    Raises:
+        MissingPostureError: there is no such file, or it is damaged.
+    """
+    arrays = read_arrays(
+        path, "recording of settled people", SHAPES, MissingPostureError,
+        "Take the one that comes with the sources, or build without --recorded.",
+    )  # fmt: skip
+    return Postures(**{f.name: arrays[f.name] for f in fields(Postures)})
+
+
+def recorded_rows(recorded: Postures, each: int) -> tuple[list[Postures], int]:
+    """The rows of a bank's first four parts, from people whom AG settled.
+
+    Args:
+        recorded: of ``read_recorded``.
+        each: rows of each part.
+
+    Returns:
+        the rows, and how many people were left out because their right arm lies inside the bed.
+
+    Raises:
+        AgymError: too few are fit.
+    """
+    rows: list[Postures] = []
+    unfit = 0
+    for part in range(4):
+        plain = recorded.limit_scale == 1
+        mine = np.flatnonzero((recorded.sex == part // 2) & (plain if part % 2 == 0 else ~plain))
+        people = [recorded.row(int(i)) for i in mine]
+        fit = [x for x in people if arm_clearance(x) >= -MAX_PENETRATION]
+        unfit += len(people) - len(fit)
+        if len(fit) < MOST_DISTINCT * each:
+            wanted = f"for part {part + 1} of a bank, not {each}"
+            raise AgymError(f"the recording has {len(fit)} people {wanted}")
+        fit.sort(key=lambda x: float(x.limit_scale))  # as evenly as they can be had
+        rows += [fit[i] for i in np.linspace(0, len(fit) - 1, each).round().astype(int)]
+    return rows, unfit
+
+
+def arm_clearance(human: Postures) -> float:
+    """Distance of the arm that moves from the bed [m], negative inside it."""
+    gap = clearances(human)
+    return min(gap[x] for x in ARM_LINKS)
+
+
+def build_bank(
+    name: str, seed: int = 0, each: int = 128, recorded: Postures | None = None
+) -> tuple[Postures, Counter]:
     """Settle people until a bank is complete.
 
     Args:
         name: of the task.
         seed: of sizes, limits and joint angles.
         each: rows of each of the six parts.
+        recorded: people of AG's sizes whom AG settled, for the first four parts.
 
     Returns:
         the bank, and how often each reason for a rejection occurred; "kept" counts the rows.
@@ -255,6 +313,9 @@ def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Cou
     rng, humans, counts = np.random.default_rng(seed), Population(sizes="continuous"), Counter()
     ranges = humans.blend, humans.stature, humans.girth
     rows: list[Postures] = []
+    if recorded is not None:
+        rows, counts["recorded arm in the bed"] = recorded_rows(recorded, each)
+        counts["kept"] = len(rows)
     while len(rows) < 6 * each:
         part, i = divmod(len(rows), each)
         sex, stature, girth = float(part // 2), 1.0, 1.0
@@ -271,11 +332,12 @@ def build_bank(name: str, seed: int = 0, each: int = 128) -> tuple[Postures, Cou
     return bank_of(rows), counts
 
 
-def _build(name: str, seed: int, each: int) -> None:
+def _build(name: str, seed: int, each: int, recorded: Path | None) -> None:
     """Build the bank of one task."""
-    bank, counts = build_bank(name, seed, each)
+    bank, counts = build_bank(name, seed, each, read_recorded(recorded) if recorded else None)
+    source = f" --recorded {recorded}" if recorded else ""
     provenance = {
-        "command": f"agym-jax postures build {name} --seed {seed} --each {each}",
+        "command": f"agym-jax postures build {name} --seed {seed} --each {each}{source}",
         "seed": seed, "counts": dict(counts),
         "versions": {p: version(p) for p in ("mujoco", "numpy")},
     }  # fmt: skip
@@ -292,6 +354,9 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax postures") -> 
     build = commands.add_parser("build", help="build banks of postures")
     build.add_argument("--seed", type=int, default=0)
     build.add_argument("--each", type=int, default=128, help="rows of each of the six parts")
+    build.add_argument(
+        "--recorded", type=Path, help="people whom Assistive Gym settled, for the rows of its sizes"
+    )
     report = commands.add_parser("report", help="compare banks with Assistive Gym's people")
     for command in (build, report):
         command.add_argument("tasks", nargs="*", default=list(SCENARIOS), metavar="TASK")
@@ -303,7 +368,7 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax postures") -> 
             if args.command == "report":
                 compare(load_postures(name), name)
             else:
-                _build(name, args.seed, args.each)
+                _build(name, args.seed, args.each, args.recorded)
     except AgymError as error:
         print(error, file=sys.stderr)
         return 1

@@ -1,6 +1,6 @@
-"""Results of a suite into this repository: ``python -m benchmarks.collect RUNS [--only NAME ...] [--dry]``.
+"""Results of a suite into this repository: ``python -m benchmarks.collect RUNS ... [--only NAME ...] [--dry]``.
 
-RUNS is the ``--save-dir`` of ``agym-jax suite``. Of each run whose seeds were measured, the choice
+RUNS are folders that ``agym-jax suite`` had as ``--save-dir``. Of each run whose seeds were measured, the choice
 (``results/selection.jsonl``), what training was (``results/seed_training.jsonl``) and what the chosen policy achieves
 over other people are kept. The chosen policy replaces the one that ships where it succeeds more often, over the same
 people in the same physics if ``select`` measured both; where none ships, from ``--least`` on. Then the tables and the
@@ -43,8 +43,8 @@ class CollectError(AgymError, ValueError):
 class CollectConfig:
     """Flags of ``python -m benchmarks.collect``."""
 
-    runs: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUNS")]
-    """Folder of the runs, the --save-dir of the suite."""
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUNS ...")]
+    """Folders of runs, each the --save-dir of a suite."""
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Parts of ids; without them, all runs in the folder."""
     commit: str | None = None
@@ -77,7 +77,8 @@ def find(config: CollectConfig) -> list[Found]:
         CollectError: there are none, or nobody knows with which commit they were made.
     """
     found = []
-    for run in sorted(path for path in config.runs.glob("*-v0") if path.is_dir()):
+    folders = [path for folder in config.runs for path in folder.glob("*-v0") if path.is_dir()]
+    for run in sorted(folders, key=lambda path: path.name):
         choice, training = selection_of(run), training_summary(run)
         if choice and training and (not config.only or any(x in run.name for x in config.only)):
             commit = choice["commit"] or _known_commit(choice) or config.commit
@@ -95,7 +96,7 @@ def find(config: CollectConfig) -> list[Found]:
             found.append(Found(run, choice | about, training))
     if not found:
         raise CollectError(
-            f"{config.runs} has no runs with selection.jsonl, config.json and curve.jsonl."
+            f"{', '.join(map(str, config.runs))} has no runs with selection.jsonl, config.json and curve.jsonl."
         )
     return found
 

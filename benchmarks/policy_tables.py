@@ -10,6 +10,7 @@ from agym_jax.data.assets import asset_root
 from agym_jax.registry import static_id
 from benchmarks.markdown import NOTHING, RESULTS, Line, grid, matrix, read_results, several, table
 from train.runs import overview
+from train.runs.progress import duration
 
 
 def _success(line: Line) -> str:
@@ -61,9 +62,12 @@ def selections(folder: Path = RESULTS) -> str:
 
     if not lines:
         return NOTHING
-    rows = [overview.cells(line, training(line)) for line in lines]
+    of = [training(line) for line in lines]
+    rows = [overview.cells(*both) for both in zip(lines, of, strict=True)]
     episodes = several(f"{x['episodes']:,}" for x in lines)
-    return grid([overview.HEADINGS, *rows], lines, f"{episodes} episodes of each seed, mode;")
+    took = sum(x["wall_seconds"] or x["train_seconds"] for x in of if x)
+    note = f"{episodes} episodes of each seed, mode; all trainings one after another: {duration(took)};"
+    return grid([overview.HEADINGS, *rows], lines, note)
 
 
 def sweeps(folder: Path = RESULTS) -> str:

@@ -67,6 +67,8 @@ class SuiteConfig:
     """Steps of a seed where the trainer's default does not suit: NAME=STEPS, such as Dressing=6e6."""
     flags: str = ""
     """Further flags of train and coop: --flags="--num-envs 2048 --lr 1e-3"."""
+    shipped: bool = True
+    """Measure the policies that ship with agym_jax too, over the people of the report."""
     clips: bool = True
     """Film an episode of each chosen policy, on the CPU while the next environments train."""
 
@@ -191,6 +193,7 @@ class Runner:
         ]  # fmt: skip
         result = str(run / "selection.jsonl")
         select = ["select", str(run), "--num-episodes", str(c.num_episodes), "--json", result]
+        select += [] if c.shipped else ["--no-shipped"]
         environment = {"CUDA_VISIBLE_DEVICES": gpu} if gpu else {}
         if self.width > 1:
             preallocate = os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE", "false")

@@ -108,8 +108,8 @@ def test_what_ships_is_replaced_by_what_is_better(shipped_there, ours, ships, ru
     fields = {"reported": was | {"success": ours}, "shipped": was | {"success": shipped_there}}
     path, before = change(runs, ALONE, **fields, shipped_unfit="", commit="c" * 40)
     try:
-        (found,) = collecting.find(collecting.CollectConfig(runs, (ALONE,)))
-        told, text = collecting.collect(found, collecting.CollectConfig(runs))
+        (found,) = collecting.find(collecting.CollectConfig((runs,), (ALONE,)))
+        told, text = collecting.collect(found, collecting.CollectConfig((runs,)))
     finally:
         path.write_text(before)
     assert told is ships and f"what ships has {shipped_there:.1%} over the same people" in text
@@ -132,7 +132,7 @@ def test_a_run_of_nobody_knows_which_code_is_refused(runs, repository, capsys):
 def test_lost_contacts_do_not_ship(runs, repository):
     path, before = change(runs, ALONE, overflow=3)
     try:
-        (found,) = collecting.find(collecting.CollectConfig(runs, (ALONE,), commit="abc"))
+        (found,) = collecting.find(collecting.CollectConfig((runs,), (ALONE,), commit="abc"))
     finally:
         path.write_text(before)
     assert collecting.decide(found, 0.0) == (False, "contacts were lost: not a result")

@@ -1,8 +1,7 @@
 """Frozen records that describe robots, tools, seats, people and tasks, and the Task protocol.
 
-A robot file and a task file hold nothing but these records and pure functions; ``scene.py`` turns
-them into a MuJoCo model, ``env.py`` into an environment. Lengths in metres, angles in radians,
-quaternions wxyz, unless a name says otherwise.
+A robot file and a task file hold nothing but these records and pure functions; ``scene.py`` turns them into a MuJoCo
+model, ``env.py`` into an environment. Lengths in metres, angles in radians, quaternions wxyz, if not named otherwise.
 """
 
 from __future__ import annotations
@@ -78,11 +77,8 @@ class BaseSearch:
     spread: float = 0.5  # [m]
     side: float = -1.0  # which way is away from the person along x
     yaw: float = 0.0  # about which the base turns [rad]
-    pivot: Vec3 = (
-        0.0,
-        0.0,
-        0.0,
-    )  # in the base's frame, what is put there and turns on the spot [m]
+    pivot: Vec3 = Pose().pos  # what is put there and turns on the spot, in the base's frame [m]
+    requires_goals: bool = True  # whether ``Goal.required`` holds for this robot
 
 
 @dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
@@ -127,6 +123,10 @@ class RobotSpec:
     start_rotations: Mapping[str, Quat] = field(default_factory=dict)  # task -> hand orientation
     searches: Mapping[str, BaseSearch] = field(default_factory=dict)  # task -> where to look
     base_height: float = 0.0  # of the base of a robot that stands on the floor [m]
+    endless: tuple[str, ...] = ()  # joints that AG's base search knows as without limits
+    half_range: bool = False  # whether AG's inverse kinematics knows half of the joints' ranges
+    half_turns: Mapping[str, float] = field(default_factory=dict)  # task -> -1: the other way round
+    start_within: Mapping[str, float] = field(default_factory=dict)  # task -> [m], of fixed bases
     meets_itself: bool = False  # whether its start poses may have an arm in the robot's own body
     friction: float = 0.5  # of its material, see ``sim.contacts.pair_friction``
     meshes: tuple[MeshModel | MeshPart, ...] = ()  # what it may look like in pictures
@@ -143,8 +143,7 @@ class RobotSpec:
         Raises:
             SpecError: the robot lacks an arm that the task asks for.
         """
-        arms = [self.arm(side) for side in task.arms]
-        return tuple(dict.fromkeys(arms))
+        return tuple(dict.fromkeys(self.arm(side) for side in task.arms))
 
     def fixed_base(self, task: Task) -> Pose | None:
         """Where the base stands for a task, or None if a bank of placements says so."""
@@ -159,9 +158,9 @@ class RobotSpec:
 class ToolSpec:
     """A tool held rigidly in the hand.
 
-    Its geoms touch the person. Several capsules may stand for one part whose shape is not round: they count
-    as one contact, with the sum of their forces at the centre of pressure. A tool that has many of them has
-    an ``outline``: one capsule that touches everything but the arm that is helped, in their place.
+    Its geoms touch the person. Several capsules may stand for one part that is not round: they count as one contact, with
+    the sum of their forces at the centre of pressure. A tool that has many of them has an ``outline``: one
+    capsule that touches everything but the arm that is helped, in their place.
     """
 
     name: str
@@ -199,9 +198,23 @@ class SeatSpec:
     props: tuple[Prop, ...] = ()  # what stands around it
 
 
+@dataclass(frozen=True)
+class Goal:
+    """What a hand should be able to reach from where the base stands, besides the start of the episode."""
+
+    link: str  # of the person, or "mouth"
+    above: float = 0.0  # it [m]
+    yaw: float | None = None  # z turn from the start's orientation [rad]; None leaves it free
+    required: bool = False  # a base that does not reach it is discarded
+
+    @classmethod
+    def of(cls, goal: Goal | str) -> Goal:
+        """An entry of ``Task.goals``, where a link's name stands for its position."""
+        return goal if isinstance(goal, Goal) else cls(goal)
+
+
 PassiveMode = Literal["hold", "limp", "frozen", "welded"]
-"""A person who does not act holds the pose with weak muscles, lets the limbs hang, does not move but
-for a tremor, or does not move at all."""
+"""Who does not act holds the pose with weak muscles, lets the limbs hang, only trembles, or does not move."""
 
 
 @dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
@@ -269,8 +282,8 @@ class Task(Protocol):
         ...
 
     @property
-    def goals(self) -> tuple[tuple[str, ...], ...]:
-        """For each arm, links of the person (or "mouth") that its hand should be able to reach."""
+    def goals(self) -> tuple[tuple[Goal | str, ...], ...]:
+        """For each arm, what its hand should be able to reach; a string is a ``Goal.link``."""
         ...
 
     @property

@@ -74,9 +74,7 @@ class State:
     task: Any  # the task's own pytree
     episode: Episode
     key: jax.Array
-    privileged_obs: Any = (
-        None  # for value functions: what nobody observes, if anything (n_privileged,)
-    )
+    privileged_obs: Any = None  # for value functions, else unseen; may be None (n_privileged,)
     quats: Any = None  # as last observed, wxyz, see ``sense.quats_of``          (n, 4)
 
     def replace(self, **changes: Any) -> State:

@@ -38,7 +38,7 @@ from agym_jax.errors import SpecError
 from agym_jax.math3d import axis_angle_quat, rotation_matrix
 from agym_jax.offline import bullet_ik, kinematics
 from agym_jax.offline.clearance import Clearance
-from agym_jax.offline.start_goals import draw_goals, goals_of, start_quat
+from agym_jax.offline.start_goals import draw_goals, goal_quat, goals_of, start_quat
 from agym_jax.sim.scene import build_scene
 from agym_jax.spec import Arm, Pose, Quat, RobotSpec, Task
 
@@ -54,10 +54,6 @@ CLEARANCE = 0.005
 """Least distance [m] of robot and tool from person, furniture and the rest of the robot at the start."""
 YAW = np.deg2rad(30.0)
 """Range of the base's yaw on either side of that of its area [rad]."""
-HALF_TURN = {("Feeding", "Jaco"): -1.0}
-"""Pairs whose arm at 0 is exactly half a turn away and goes backwards, as their 40 recorded starts show."""
-FIXED_REACHED = {"Feeding": 0.01, "Drinking": 0.01, "Reaching": 0.01}
-"""Thresholds of robots with a fixed base, else ``REACHED``."""
 
 
 @dataclass(frozen=True)
@@ -134,22 +130,18 @@ class Reach:
         self.scene = build_scene(task, robot)
         self.chains = _chains(self.scene)
         self.clearance = Clearance(task, robot)
-        half_turn = HALF_TURN.get((task.name, robot.name), 1.0)
-        # AG v0.1 env.py: half_range for Baxter
-        self.limits = [bullet_ik.limits_of(c, robot.name == "Baxter") for c in self.chains]
+        half_turn = robot.half_turns.get(task.name, 1.0)
+        self.limits = [bullet_ik.limits_of(c, robot.half_range) for c in self.chains]
         self.solvers = [
             bullet_ik.Solver(c, limits, half_turn)
             for c, limits in zip(self.chains, self.limits, strict=True)
         ]
-        # what AG knows as endless: PR2's joints have limits of 1e10, Jaco's of two turns
-        self.endless = [
-            (x.upper - x.lower > 4 * np.pi - 0.1) & (robot.name == "PR2") for x in self.limits
-        ]
+        self.endless = [np.isin(arm.joints, robot.endless) for arm in self.scene.arms]
         self.rest = [_posture(robot, c) for c in self.scene.arms]
         self.quats = [start_quat(task, robot, a, self.scene) for a in range(len(self.chains))]
         self.goals = goals_of(task, robot, len(self.chains))
         self.tried = self.reached = 0
-        names = [g.name for goals in self.goals for g in goals]
+        names = [g.link for goals in self.goals for g in goals]
         self.goals_reached = {} if robot.fixed_base(task) else dict.fromkeys(names, 0)
 
     # -- one goal ------------------------------------------------------------------------------
@@ -209,7 +201,7 @@ class Reach:
             fixed: where the base stands, in the world.
             starts: of the hand, world [m] (R, n_arms, 3).
         """
-        rows, reached = len(starts), FIXED_REACHED.get(self.task.name, REACHED)
+        rows, reached = len(starts), self.robot.start_within.get(self.task.name, REACHED)
         pos, quat = (np.tile(np.array(x, float), (rows, 1)) for x in (fixed.pos, fixed.quat))
         angles = np.tile(np.concatenate(self.rest), (rows, 1))
         ok, left = np.zeros(rows, bool), np.arange(rows)
@@ -295,9 +287,10 @@ class Reach:
         self.reached += int(alive.sum())
         for arm, goals in enumerate(self.goals):
             for i, goal in enumerate(goals):
-                at, _, good = reach(arm, points[arm][:, i], goal.quat)
-                if not goal.must:
-                    self.goals_reached[goal.name] += int(good.sum())
+                turn = goal_quat(goal, self.quats[arm])
+                at, _, good = reach(arm, points[arm][:, i], turn)
+                if not goal.required:
+                    self.goals_reached[goal.link] += int(good.sum())
                 else:
                     alive[at] &= good
         return np.concatenate(angles, axis=1), np.where(alive, count, 0.0), score

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -11,43 +10,27 @@ import numpy as np
 from agym_jax.errors import SpecError
 from agym_jax.human import body, population
 from agym_jax.human import pose as human_pose
-from agym_jax.math3d import rotation_matrix
+from agym_jax.math3d import axis_angle_quat, quat_mul, rotation_matrix
 from agym_jax.offline.bullet_ik import bullet_quat
-from agym_jax.spec import Quat, RobotSpec, Task
-
-_H = float(np.sqrt(0.5))
-
-
-@dataclass(frozen=True)
-class Goal:
-    """A pose that the hand has to be able to reach, besides the start."""
-
-    name: str  # a link of the person, or "mouth"
-    quat: Quat | None = None  # wxyz; None leaves the orientation free
-    above: float = 0.0  # the link [m]
-    must: bool = False  # a base that does not reach it is discarded
+from agym_jax.spec import Goal, Quat, RobotSpec, Task
 
 
 def goals_of(task: Task, robot: RobotSpec, n_arms: int) -> list[list[Goal]]:
-    """What each arm of a pair has to reach besides its start, as AG's task has it.
+    """What each arm of a pair has to reach besides its start; a single arm, all of a task's goals."""
+    goals = [[Goal.of(goal) for goal in of_arm] for of_arm in task.goals]
+    if n_arms != len(goals):
+        goals = [[goal for of_arm in goals for goal in of_arm]]
+    if not robot.base_search(task.name).requires_goals:
+        goals = [[goal for goal in of_arm if not goal.required] for of_arm in goals]
+    return goals
 
-    A single arm has to reach all of a task's goals. Where AG asks for more than a position (tasks.md sections 4 to 6):
-    """
-    turned = robot.start_rotations.get(task.name)
-    if task.name in ("Feeding", "Drinking", "Reaching") and turned:
-        must = (
-            [] if (task.name, robot.name) == ("Feeding", "Baxter") else [Goal("mouth", must=True)]
-        )
-        again = Goal("mouth", turned if task.name != "Reaching" else None)
-        return [[*must, again]]
-    if task.name == "Dressing" and turned:
-        # Euler (0, 0, 3 pi / 2); (pi / 2, -pi / 2, 0)
-        across = (-_H, 0.0, 0.0, _H) if robot.name == "PR2" else (0.5, 0.5, -0.5, 0.5)
-        quats = (across, turned, turned)
-        return [[Goal(n, q, 0.1) for n, q in zip(task.goals[0], quats, strict=True)]]
-    if n_arms == len(task.goals):
-        return [[Goal(n) for n in names] for names in task.goals]
-    return [[Goal(n) for names in task.goals for n in names]]
+
+def goal_quat(goal: Goal, start: Quat) -> Quat | None:
+    """Orientation of a hand at a goal, world, wxyz, given that at the start; None where it is free."""
+    if goal.yaw is None:
+        return None
+    turn = axis_angle_quat(np.array([0.0, 0.0, 1.0]), np.array(goal.yaw), np)
+    return tuple(quat_mul(turn, np.array(start), np).tolist())
 
 
 def start_quat(task: Task, robot: RobotSpec, arm: int, scene: Any) -> Quat:
@@ -96,10 +79,10 @@ def draw_goals(
             f"{task.name}.start must give one row [m] for each arm, of shape ({n_arms}, 3); with "
             f"{robot.name} it gives {start.shape[1:]}."
         )
-    humans = _points(task, [x for names in task.goals for x in names], 64, seed)
+    humans = _points(task, [g.link for of_arm in goals for g in of_arm], 64, seed)
     who = rng.integers(0, 64, rows)
     points = [
-        np.stack([humans[g.name][who] + (0.0, 0.0, g.above) for g in of_arm], axis=1)
+        np.stack([humans[g.link][who] + (0.0, 0.0, g.above) for g in of_arm], axis=1)
         if of_arm
         else np.zeros((rows, 0, 3))
         for of_arm in goals

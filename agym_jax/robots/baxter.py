@@ -87,11 +87,13 @@ BAXTER = RobotSpec(
         "BedBathing": BaseSearch((-1.05, -0.4, 0.975)),
         "ArmManipulation": BaseSearch((-1.15, 0.2, 0.975)),
         "Reaching": BaseSearch((-0.85, -0.2, 0.975)),
-        "Feeding": BaseSearch((-0.85, -0.2, 0.975)),
+        # AG v0.1 feeding.py: only the start
+        "Feeding": BaseSearch((-0.85, -0.2, 0.975), requires_goals=False),
         "Drinking": BaseSearch((-0.85, -0.2, 0.975)),
         "Dressing": BaseSearch((0.85, 0.3, 0.975), side=1.0, yaw=math.pi),
     },
     base_height=0.975,
+    half_range=True,  # robots.md section 7
     meets_itself=True,  # AG v0.1 loads it without self-collision (robots.md section 2)
     start_rotations={
         # AG v0.1 scratch_itch.py, bed_bathing.py: Euler (0, pi/2, 0), the hand along world +x

@@ -70,6 +70,10 @@ JACO = RobotSpec(
         "ArmManipulation": BaseSearch((-0.9, 0.75, 0.6), spread=0.1),
     },
     base_height=0.6,
+    # the arm at 0 is exactly half a turn away and goes backwards, as 40 recorded starts show
+    half_turns={"Feeding": -1.0},
+    # tasks.md sections 4, 5 and 8
+    start_within={"Feeding": 0.01, "Drinking": 0.01, "Reaching": 0.01},
     # tasks.md sections 2, 3, 7: Euler (0, pi/2, 0), the hand points along world +x; 8: (pi/2, 0, pi/2)
     start_rotations={
         "ScratchItch": (_H, 0.0, _H, 0.0),

@@ -77,8 +77,10 @@ PR2 = RobotSpec(
         "Drinking": BaseSearch((-0.65, -0.2, 0.0)),
         "Dressing": BaseSearch((0.85, 0.3, 0.0), side=1.0, yaw=math.pi),
     },
-    # tasks.md sections 2, 3, 7, 8: Euler (0, 0, 0), the hand points along world +x; Reaching (pi/2, 0, 0)
+    # limits of 1e10 in AG (Jaco's, as wide here, are of two turns there)
+    endless=tuple(f"{s}_{x}_roll_joint" for s in "lr" for x in ("forearm", "wrist")),
     meets_itself=True,  # AG v0.1 loads it without self-collision (robots.md section 2)
+    # tasks.md sections 2, 3, 7, 8: Euler (0, 0, 0), the hand points along world +x; Reaching (pi/2, 0, 0)
     start_rotations={
         "ScratchItch": (1.0, 0.0, 0.0, 0.0),
         "BedBathing": (1.0, 0.0, 0.0, 0.0),

@@ -41,7 +41,7 @@ from agym_jax.sim.contacts import (
 from agym_jax.sim.index import Index, ToolIndex
 from agym_jax.sim.motors import add_motors, stiffen_motors
 from agym_jax.sim.validate import check_robot, check_seat, check_task, check_tool
-from agym_jax.spec import Arm, Pose, RobotSpec, Surface, Task, ToolSpec, Vec3
+from agym_jax.spec import Arm, Goal, Pose, RobotSpec, Surface, Task, ToolSpec, Vec3
 
 MAX_CONTACTS = 8
 """Contacts that MJX-JAX keeps per environment, the deepest first (Warp keeps all)."""
@@ -167,7 +167,7 @@ def compose(
 
 def lean_links(task: Task, moving: tuple[str, ...]) -> tuple[str, ...]:
     """Links of the person that the physics model needs: those that move, may be touched or matter."""
-    goals = {name for arm in task.goals for name in arm}
+    goals = {Goal.of(goal).link for arm in task.goals for goal in arm}
     limbs = {"chest", *task.human.limbs, *task.human.links, *goals}
     limbs |= {f"{task.human.arm}_{x}" for x in ("upper_arm", "forearm", "hand")}
     return tuple(x.name for x in body.LINKS if body.is_free(x, moving) or x.name in limbs)

@@ -12,7 +12,7 @@ import mujoco
 
 from agym_jax.errors import SpecError, UnknownNameError, did_you_mean
 from agym_jax.human import body, population
-from agym_jax.spec import Arm, PassiveMode, Prepared, RobotSpec, SeatSpec, Task, ToolSpec
+from agym_jax.spec import Arm, Goal, PassiveMode, Prepared, RobotSpec, SeatSpec, Task, ToolSpec
 
 COLLISION = "collision"
 """What names of collision geoms contain: the search for start placements goes by it."""
@@ -35,8 +35,10 @@ def check_task(task: Task) -> None:
             f"{task.name}'s goals must have one tuple of links for each of its arms, in order: it has "
             f"{len(task.goals)} for {len(task.arms)} ({', '.join(task.arms)}). () stands for none."
         )
-    for names in task.goals:
-        _check_names(f"{task.name}'s goals", "link", names, (*body.LINK, "mouth"))
+    for goals in task.goals:
+        _check_text(f"{task.name}'s goals", goals)
+        links = tuple(Goal.of(goal).link for goal in goals)
+        _check_names(f"{task.name}'s goals", "link", links, (*body.LINK, "mouth"))
     _check_names(f"{owner}.limbs", "link", human.limbs, body.LINK)
     _check_names(f"{owner}.joints", "joint", human.joints, body.JOINTS)
     _check_names(f"{owner}.pose", "joint", tuple(human.pose), body.JOINTS)
@@ -59,7 +61,7 @@ def check_robot(spec: mujoco.MjSpec, robot: RobotSpec, task: Task) -> None:
     """
     where = f"{robot.name}'s file {robot.model}"
     joints = _named(spec.joints)
-    _check_there(where, "joint", tuple(robot.rest), joints)
+    _check_there(where, "joint", (*robot.rest, *robot.endless), joints)
     geoms = _named(spec.geoms)
     if not any(COLLISION in name for name in geoms):
         raise SpecError(

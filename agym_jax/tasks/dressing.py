@@ -40,7 +40,7 @@ from agym_jax.matter.shapes import Capsules
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import DRESSING_TERMS, dressing_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, HumanSpec, Preferences, SeatSpec, Surface
+from agym_jax.spec import Control, Goal, HumanSpec, Preferences, SeatSpec, Surface
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso
 
 _RAD = math.pi / 180.0
@@ -136,7 +136,10 @@ class Dressing:
     )
     gravity: float = -1.0  # AG dressing.py reset: on the person; the gown has its own
     arms: tuple[str, ...] = ("left",)
-    goals: tuple[tuple[str, ...], ...] = (ARM_LINKS,)
+    # AG dressing.py reset: the hand along the upper arm at the shoulder, as it starts at elbow and wrist
+    goals: tuple[tuple[Goal, ...], ...] = (
+        tuple(Goal(x, 0.1, yaw) for x, yaw in zip(ARM_LINKS, (math.pi / 2, 0.0, 0.0), strict=True)),
+    )
     tool: None = None
     seat: SeatSpec = LEFT_BESIDE
     human: HumanSpec = HumanSpec(

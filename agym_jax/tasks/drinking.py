@@ -30,7 +30,7 @@ from agym_jax.matter.particles.solver import WATER, Contact, Particles, Particle
 from agym_jax.matter.shapes import no_boxes
 from agym_jax.preferences import MEAL_TERMS, PREFERENCE_TERMS, meal_terms, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import Control, Goal, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared import meals
 from agym_jax.tasks.shared.meals import Outcome
 
@@ -93,7 +93,7 @@ class Drinking:
     )
     gravity: float = 0.0  # AG drinking.py reset: none on the person; the water has its own
     arms: tuple[str, ...] = ("right",)
-    goals: tuple[tuple[str, ...], ...] = (("mouth",),)
+    goals: tuple[tuple[Goal, ...], ...] = ((Goal("mouth", required=True), Goal("mouth", yaw=0.0)),)
     tool: ToolSpec = CUP
     seat: SeatSpec = WHEELCHAIR_UP_CLOSE
     human: HumanSpec = meals.diner(rate=0.0005 / 0.004, max_torque=1.0)

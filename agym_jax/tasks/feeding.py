@@ -27,7 +27,7 @@ from agym_jax.matter.particles.solver import FOOD, Contact, Particles, ParticleS
 from agym_jax.matter.shapes import Boxes
 from agym_jax.preferences import MEAL_TERMS, PREFERENCE_TERMS, meal_terms, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import Control, Goal, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared import meals
 from agym_jax.tasks.shared.meals import Outcome
 
@@ -97,7 +97,7 @@ class Feeding:
     )
     gravity: float = 0.0  # AG feeding.py reset: none on the person; the food has its own
     arms: tuple[str, ...] = ("right",)
-    goals: tuple[tuple[str, ...], ...] = (("mouth",),)
+    goals: tuple[tuple[Goal, ...], ...] = ((Goal("mouth", required=True), Goal("mouth", yaw=0.0)),)
     tool: ToolSpec = SPOON
     seat: SeatSpec = WHEELCHAIR_AT_TABLE
     human: HumanSpec = meals.diner(rate=0.0005 / 0.002, max_torque=5.0)

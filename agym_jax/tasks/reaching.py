@@ -23,7 +23,7 @@ from agym_jax.human.body import HEAD
 from agym_jax.observe import column, observation
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, HumanSpec, Preferences, SeatSpec
+from agym_jax.spec import Control, Goal, HumanSpec, Preferences, SeatSpec
 
 _RAD = math.pi / 180.0
 
@@ -81,7 +81,7 @@ class Reaching:
     )
     gravity: float = 0.0  # on the person only
     arms: tuple[str, ...] = ("right",)
-    goals: tuple[tuple[str, ...], ...] = (("mouth",),)
+    goals: tuple[tuple[Goal, ...], ...] = ((Goal("mouth", required=True), Goal("mouth")),)
     tool: None = None
     seat: SeatSpec = WHEELCHAIR
     human: HumanSpec = HumanSpec(

@@ -22,6 +22,7 @@ from agym_jax.math3d import rotation_matrix
 from agym_jax.offline import placements
 from agym_jax.offline.base_search import REACHED, search
 from agym_jax.offline.clearance import Clearance
+from agym_jax.offline.start_goals import goal_quat, goals_of
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
 from agym_jax.spec import BaseSearch, RobotSpec, Task
@@ -182,6 +183,30 @@ def test_bank_rows_start_at_assistive_gyms_pose_without_contact(task: str, robot
         if pairs := world.touching():
             touching[int(i)] = pairs
     assert not touching
+
+
+def test_goals_are_those_of_assistive_gyms_base_search():
+    """The table in robots.md section 7; orientations in tasks.md section 6."""
+
+    def found(task: str, robot: str) -> list[list[tuple]]:
+        spec, machine = TASKS[task], ROBOTS[robot]
+        start = machine.start_rotations[task]
+        goals = goals_of(spec, machine, len(machine.arms_for(spec)))
+        return [[(g.link, g.required, goal_quat(g, start)) for g in of_arm] for of_arm in goals]
+
+    must, free = ("mouth", True, None), ("mouth", False, None)
+    for robot, machine in ROBOTS.items():
+        again = ("mouth", False, machine.start_rotations["Feeding"])
+        assert found("Feeding", robot) == [[again] if robot == "Baxter" else [must, again]]
+        assert found("Reaching", robot) == [[must, free]]
+        first, *rest = found("Dressing", robot)[0]
+        h, turned = np.sqrt(0.5), machine.start_rotations["Dressing"]
+        across = (-h, 0, 0, h) if robot == "PR2" else (0.5, 0.5, -0.5, 0.5)
+        np.testing.assert_allclose(first[2], across, atol=1e-12)
+        assert first[0] == "left_upper_arm" and [x[2] for x in rest] == [turned, turned]
+    both = [[(x, False, None) for x in arm] for arm in TASKS["ArmManipulation"].goals]
+    assert found("ArmManipulation", "PR2") == both
+    assert found("ArmManipulation", "Jaco") == [both[0] + both[1]]
 
 
 def at(points: tuple[tuple[float, float, float], ...]) -> Any:

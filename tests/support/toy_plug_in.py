@@ -20,7 +20,7 @@ from agym_jax.observe import column, observation
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.registry import register_robot, register_task
 from agym_jax.sense import Sensed
-from agym_jax.spec import Arm, Control, HumanSpec, Preferences, RobotSpec, SeatSpec
+from agym_jax.spec import Arm, Control, Goal, HumanSpec, Preferences, RobotSpec, SeatSpec
 
 # -- the robot ---------------------------------------------------------------------------------
 
@@ -83,7 +83,7 @@ class Waving:
     )
     gravity: float = 0.0
     arms: tuple[str, ...] = ("right",)
-    goals: tuple[tuple[str, ...], ...] = (("head",),)
+    goals: tuple[tuple[Goal, ...], ...] = ((Goal("head", above=0.4),),)
     tool: None = None
     seat: SeatSpec = WHEELCHAIR
     human: HumanSpec = HumanSpec(

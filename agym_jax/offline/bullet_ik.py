@@ -209,7 +209,9 @@ def _onto_z(axis: np.ndarray) -> np.ndarray:
 def bullet_quat(rot: np.ndarray) -> np.ndarray:
     """Quaternions wxyz (4, B) of rotation matrices (3, 3, B), with the sign that Bullet's getRotation gives them.
 
-    w is positive where the trace is; elsewhere the part of the greatest diagonal entry is.
+    w is positive where the trace is; elsewhere the part of the greatest diagonal entry is. That is the rule of
+    ``math3d.first_sign``, which applies it to quaternions; here it also says which part the others are divided by, so
+    the sign comes with the conversion.
     """
     diagonal = np.stack([rot[0, 0], rot[1, 1], rot[2, 2]])
     trace = diagonal.sum(axis=0)

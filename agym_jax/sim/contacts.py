@@ -7,9 +7,9 @@ spinning on the person, with 0.5 mm times the force: 0.0025 N m at 5 N, 0.25 % o
 DEVIATION(bed-contact): a limb that falls onto the bed is stopped after the physics step in which it entered, up to 2 cm
 deep, and gives way; Bullet stops it at the surface. With AG's masses the wrist follows AG's within 1 cm until the arm meets
 the bed (a man; AG's woman starts with the shoulder above the pillow, where the girdle falls to its limit first, and is 9 cm
-off by then), and is 7 cm (man) and 8 cm (woman) from AG's on average over the first second. Where the arm lies still, elbow and wrist are as high as AG's within
-1.6 cm; a man's wrist is 7 cm nearer to the feet, as AG's arm creeps up the edge. Of the person's links, upper arm and
-girdle also resist rolling on the bed, in AG forearm and hand, too.
+off by then), and is 7 cm (man) and 8 cm (woman) from AG's on average over the first second. Where the arm lies still, elbow
+and wrist are as high as AG's within 1.6 cm; a man's wrist is 7 cm nearer to the feet, as AG's arm creeps up the edge. Of
+the person's links, upper arm and girdle also resist rolling on the bed, in AG forearm and hand, too.
 """
 
 from __future__ import annotations

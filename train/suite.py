@@ -32,7 +32,7 @@ from agym_jax.registry import parse
 
 from .configs import Count, config_for, parse_count
 from .errors import ConfigError
-from .runs.children import Children, own_program, visible_gpus
+from .runs.children import Children, claim, own_program, visible_gpus
 from .runs.overview import (
     JOURNAL,
     markdown,
@@ -45,6 +45,7 @@ from .runs.progress import duration
 
 FILM = "clip.gif"
 LINE_PERIOD = 60.0  # seconds between lines about the whole
+PATIENCE = 60.0  # seconds for a training of an earlier session to save its state and end
 
 
 @dataclass(frozen=True)
@@ -218,10 +219,12 @@ class Runner:
         """Run one command, with its output in a log; returns the end of that if it failed."""
         path = Path(self.config.save_dir) / f"{env_name}.{log}"
         about = {"env": env_name, "command": words[0]}
-        self._close(about, path)
-        began, timer = time.time(), time.perf_counter()
-        self._note({**about, "began": began, "gpu": environment.get("CUDA_VISIBLE_DEVICES")})
         with path.open("a") as file:
+            if not claim(file, PATIENCE):
+                return f"Another process is working on it: the one that writes {path}."
+            self._close(about, path)
+            began, timer = time.time(), time.perf_counter()
+            self._note({**about, "began": began, "gpu": environment.get("CUDA_VISIBLE_DEVICES")})
             print("$", *words, file=file, flush=True)
             status = self.children.run([*self.program, *words], file, environment)
         took = time.perf_counter() - timer

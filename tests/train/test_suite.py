@@ -15,6 +15,7 @@ from paths import PROCESS_SECONDS, ROOT, SUPPORT
 from train_runs import start_python
 
 from agym_jax.errors import UnknownNameError
+from train import suite
 from train.errors import ConfigError
 from train.runs import children
 from train.runs.checkpoint import checkpoint_files
@@ -151,14 +152,16 @@ def test_a_suite_that_is_killed_goes_on_where_it_was(sent, tmp_path):
     ]
     code = SUITE.format(words=[*words, f"--flags={flags} --impl jax --num-mini-batch 4"])
     log, checkpoints = tmp_path / f"{IDS[0]}.log", tmp_path / IDS[0] / "checkpoints"
-    with start_python(code, env=PATHS, stdout=-1, stderr=-1) as suite:
+    with start_python(code, env=PATHS, stdout=-1, stderr=-1) as process:
         try:
-            until(lambda: len(checkpoint_files(checkpoints)) > 1 or suite.poll(), "no checkpoints")
-            suite.send_signal(sent)
-            out, err = suite.communicate(timeout=PROCESS_SECONDS)
+            until(
+                lambda: len(checkpoint_files(checkpoints)) > 1 or process.poll(), "no checkpoints"
+            )
+            process.send_signal(sent)
+            out, err = process.communicate(timeout=PROCESS_SECONDS)
         finally:
-            suite.kill()
-    assert suite.returncode == (-9 if sent == signal.SIGKILL else 130), out + err
+            process.kill()
+    assert process.returncode == (-9 if sent == signal.SIGKILL else 130), out + err
     # the training did not stay behind: it was told, saved its state, and ended
     until(lambda: "Rerun the same command to continue." in log.read_text(), log.read_text())
     assert not (tmp_path / IDS[1]).exists()
@@ -166,9 +169,9 @@ def test_a_suite_that_is_killed_goes_on_where_it_was(sent, tmp_path):
         assert "Rerun the same command to continue." in out
         assert [row["status"] for row in ended(tmp_path)] == [130]
         return
-    with start_python(code, env=PATHS, stdout=-1, stderr=-1) as suite:
-        out, err = suite.communicate(timeout=PROCESS_SECONDS)
-    assert suite.returncode == 0, out + err + log.read_text()
+    with start_python(code, env=PATHS, stdout=-1, stderr=-1) as process:
+        out, err = process.communicate(timeout=PROCESS_SECONDS)
+    assert process.returncode == 0, out + err + log.read_text()
     assert "2 of 2 environments in" in out
     assert "Continuing from step" in log.read_text()
     for name in IDS:
@@ -185,8 +188,8 @@ def test_a_suite_that_is_killed_goes_on_where_it_was(sent, tmp_path):
     assert [row["status"] for row in ended(tmp_path)] == [None, 0]
     assert (tmp_path / "curves.png").stat().st_size > 10_000
     before = log.read_text()
-    with start_python(code, env=PATHS, stdout=-1, stderr=-1) as suite:
-        out, _ = suite.communicate(timeout=PROCESS_SECONDS)
+    with start_python(code, env=PATHS, stdout=-1, stderr=-1) as process:
+        out, _ = process.communicate(timeout=PROCESS_SECONDS)
     assert out.count("finished before") == 2 and log.read_text() == before
 
 
@@ -214,6 +217,18 @@ def test_gpus(monkeypatch):
     assert children.visible_gpus() == ["0", "1"]
     runner = Runner(SuiteConfig(parallel=2), (), ["0", "1"])
     assert sorted(runner.slots.get() for _ in range(runner.slots.qsize())) == ["0", "0", "1", "1"]
+
+
+def test_two_suites_do_not_work_on_one_environment(tmp_path, program, monkeypatch):
+    config = SuiteConfig(num_seeds=2, save_dir=str(tmp_path), clips=False)
+    monkeypatch.setattr(suite, "PATIENCE", 0.0)
+    with (tmp_path / f"{IDS[0]}.log").open("a") as file:
+        assert children.claim(file)
+        busy, free = Runner(config, program).all(IDS)
+        assert busy.line is None and "Another process is working on it" in busy.problem
+        assert free.line is not None
+    (again,) = Runner(config, program).all(IDS[:1])
+    assert again.line is not None
 
 
 def test_nothing_is_started_once_the_suite_stops(tmp_path, program):

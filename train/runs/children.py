@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from threading import RLock
 from typing import IO
@@ -34,6 +35,33 @@ def own_program(module: str = "agym_jax") -> tuple[str, ...]:
         module: that is run.
     """
     return (sys.executable, "-c", _WITH_PARENT, str(os.getpid()), module)
+
+
+def claim(log: IO[str], patience: float = 60.0) -> bool:
+    """Claim an environment by its log, for this process and those that write to the log after it.
+
+    A process that outlives its suite still holds it, so that nobody trains beside it in the same folder.
+
+    Args:
+        log: open file.
+        patience: seconds to wait for a process that is about to end.
+
+    Returns:
+        Whether it is ours; it is until the file is closed by all. On Windows, always.
+    """
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    deadline = time.monotonic() + patience
+    while True:
+        try:
+            fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(0.1)
 
 
 class Children:

@@ -83,7 +83,7 @@ class Waving:
     )
     gravity: float = 0.0
     arms: tuple[str, ...] = ("right",)
-    goals: tuple[tuple[Goal, ...], ...] = ((Goal("head", above=0.4),),)
+    goals: tuple[tuple[Goal, ...], ...] = ((Goal("head", above=0.1),),)
     tool: None = None
     seat: SeatSpec = WHEELCHAIR
     human: HumanSpec = HumanSpec(

@@ -2,7 +2,7 @@
 
 Runs one episode of each deterministic policy on C MuJoCo and writes ``docs/images/clips/ID.webp``, a contact sheet
 for each task, ``docs/images/clips/TASK.jpg``, and the page that shows them, ``docs/clips.md``. All episodes have the
-same fixed seed, so failures are shown too.
+same fixed seed, so failures are shown too. The film and the sheet in the README are of the same episode of ``FRONT``.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from PIL import Image, ImageDraw
 from agym_jax.errors import did_you_mean
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.registry import active_id
+from agym_jax.rendering.clips import contact_sheet, write_clip
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
-from train.enjoy import EnjoyConfig, Frame, Player, film
+from train.enjoy import EnjoyConfig, Frame, Player, caption, film
 from train.envs import make_env
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -29,22 +30,35 @@ POLICIES = DOCS.parent / "assets" / "policies"
 SEED = 1001
 EVERY = 4  # steps from picture to picture
 LAST = 12  # pictures that show the end
+FRONT = "ScratchItchJaco-v0"
+FRONT_EVERY = 6  # steps from picture to picture in the README's film
+FRONT_FPS = 20 / 3  # four times as fast as the episode
 SIZE = (320, 240)
 MOMENTS = (0, 15, 30, 60, 100, 200)  # steps that a sheet shows
 
 
-def play(env_name: str) -> tuple[list[Frame], list[np.ndarray]]:
-    """The episode of ``SEED``: every ``EVERY``-th frame and its picture (height, width, 3), uint8."""
+def play(env_name: str, every: int, width: int, height: int) -> tuple[list[Frame], list]:
+    """The episode of ``SEED``: every n-th frame and its picture (height, width, 3), uint8."""
     env = make_env(env_name, "native")
     policy = load_policies(find_policies(env_name, None, None, None), env, False)
-    frames = list(Player(env, policy, deterministic=True).episode(SEED))[::EVERY]
-    config = EnjoyConfig(env_name=env_name, width=2 * SIZE[0], height=2 * SIZE[1])
+    frames = list(Player(env, policy, deterministic=True).episode(SEED))[::every]
+    config = EnjoyConfig(env_name=env_name, width=width, height=height)
     return frames, film(env, frames, config)
+
+
+def front_page() -> None:
+    """The README's film and sheet of an episode."""
+    frames, pictures = play(FRONT, FRONT_EVERY, 480, 360)
+    name = DOCS / "images" / "scratch_itch_jaco"
+    write_clip(pictures, name.with_suffix(".gif"), fps=FRONT_FPS)
+    shown = np.linspace(0, len(frames) - 1, 12).round().astype(int)
+    labels = [caption(frames[i]) for i in shown]
+    contact_sheet([pictures[i] for i in shown], f"{name}_sheet.png", columns=4, labels=labels)
 
 
 def draw(env_name: str) -> None:
     """The film of one environment."""
-    frames, pictures = play(env_name)
+    frames, pictures = play(env_name, EVERY, 2 * SIZE[0], 2 * SIZE[1])
     small = [Image.fromarray(x).resize(SIZE, Image.Resampling.LANCZOS) for x in pictures]
     for frame, picture in zip(frames, small, strict=True):
         done = "  success" if frame.success else ""
@@ -111,6 +125,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for i, name in enumerate(names):
         print(f"\r{i + 1}/{len(names)} {name:<24}", end="", flush=True)
         draw(name)
+    if FRONT in names:
+        front_page()
     for task in TASKS:
         sheet(task)
     (DOCS / "clips.md").write_text(page())

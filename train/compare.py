@@ -16,11 +16,10 @@ import jax
 import tyro
 
 from agym_jax.data.npz import check_writable
-from agym_jax.errors import AgymError
 
 from .configs import Count
 from .envs import make_env
-from .errors import ConfigError
+from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.seed_scores import SeedScores, score_seeds
 from .evaluation.statistics import improvement_interval, probability_of_improvement
@@ -54,6 +53,7 @@ def improvement(ours: SeedScores, theirs: SeedScores) -> dict[str, dict[str, Any
     return found
 
 
+@reports_errors
 def main(
     arguments: Sequence[str] | None = None,
     make: Callable[[str, str], Any] = make_env,
@@ -62,20 +62,16 @@ def main(
     """The command line; returns the exit status."""
     config = tyro.cli(CompareConfig, prog=prog, args=arguments, description=__doc__)
     runs = [Path(run).resolve() for run in config.runs]
-    try:
-        if config.json:
-            check_writable(Path(config.json).parent, "Choose another file with --json.")
-        if runs[0].name != runs[1].name:
-            raise ConfigError(
-                f"{runs[0].name} and {runs[1].name} are different environments; compare two runs of one."
-            )
-        env, first = load_seeds(runs[0], make, config.impl)
-        _, second = load_seeds(runs[1], lambda *_: env, config.impl)
-        evaluator, key = Evaluator(env, config.num_episodes), jax.random.PRNGKey(config.seed)
-        scores = [score_seeds(evaluator, policies, key) for policies in (first, second)]
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
+    if config.json:
+        check_writable(Path(config.json).parent, "Choose another file with --json.")
+    if runs[0].name != runs[1].name:
+        raise ConfigError(
+            f"{runs[0].name} and {runs[1].name} are different environments; compare two runs of one."
+        )
+    env, first = load_seeds(runs[0], make, config.impl)
+    _, second = load_seeds(runs[1], lambda *_: env, config.impl)
+    evaluator, key = Evaluator(env, config.num_episodes), jax.random.PRNGKey(config.seed)
+    scores = [score_seeds(evaluator, policies, key) for policies in (first, second)]
     for run, found in zip(config.runs, scores, strict=True):
         print(f"{run}\n{found.table()}")
     better = improvement(*scores)

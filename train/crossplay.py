@@ -16,7 +16,6 @@ import jax
 import tyro
 
 from agym_jax.data.npz import check_writable
-from agym_jax.errors import AgymError
 from agym_jax.policy.agents import BASELINES, Baseline, Pair, parts
 from agym_jax.policy.check import check_policy
 from agym_jax.policy.files import find_policy, load_agent, run_file
@@ -25,7 +24,7 @@ from agym_jax.registry import static_id
 
 from .configs import Count
 from .envs import make_env, refuse_static_human
-from .errors import ConfigError
+from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
 from .runs.record import append_record, record
@@ -165,6 +164,7 @@ def run(config: CrossplayConfig, make: Callable[[str, str], Any] = make_env) -> 
     return matrix
 
 
+@reports_errors
 def main(
     arguments: Sequence[str] | None = None,
     make: Callable[[str, str], Any] = make_env,
@@ -172,13 +172,7 @@ def main(
 ) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(CrossplayConfig, prog=prog, args=arguments)
-    try:
-        run(config, make)
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
+    run(config, make)
     return 0
 
 

@@ -23,13 +23,13 @@ import numpy as np
 import tyro
 
 from agym_jax.data.npz import check_writable
-from agym_jax.errors import AgymError
 from agym_jax.policy.agents import baseline_policy
 from agym_jax.policy.files import PolicyFiles, find_policy, load_policies
 
 from .configs import Count, config_for
 from .enjoy import Frame, caption
 from .envs import make_env, vectorize
+from .errors import reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
 from .learning.execution import StepwiseEnv
@@ -194,6 +194,7 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
     say("Done.")
 
 
+@reports_errors
 def main(
     arguments: Sequence[str] | None = None,
     make: Callable[[str, str], Any] = make_env,
@@ -202,13 +203,7 @@ def main(
     """The command line; returns the exit status."""
     config = tyro.cli(DemoConfig, prog=prog, args=arguments)
     jax.config.update("jax_platforms", "cpu")
-    try:
-        run(config, make)
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
+    run(config, make)
     return 0
 
 

@@ -19,14 +19,13 @@ import jax
 import tyro
 
 from agym_jax.data.npz import check_writable
-from agym_jax.errors import AgymError
 from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.rendering.meshes import check_visuals
 
 from .configs import Count
 from .envs import jit_functions, make_env
-from .errors import ConfigError
+from .errors import ConfigError, reports_errors
 from .learning.rollout import FORCE_KEY
 
 SHEET_PICTURES = 20
@@ -212,6 +211,7 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
     return lasts
 
 
+@reports_errors
 def main(
     arguments: Sequence[str] | None = None,
     make: Callable[[str, str], Any] = make_env,
@@ -223,18 +223,12 @@ def main(
         "jax_platforms", "cpu"
     )  # one environment: the accelerator would only be slower
     warnings.simplefilter("default")
-    try:
-        _check_outputs(config)
-        env = make(config.env_name, config.impl)  # first: it knows which ids there are
-        files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
-        if config.visuals != "primitives":  # before anything is compiled
-            check_visuals(config.visuals, env.robot)
-        play(config, env, load_policies(files, env, config.any_env))
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
+    _check_outputs(config)
+    env = make(config.env_name, config.impl)  # first: it knows which ids there are
+    files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
+    if config.visuals != "primitives":  # before anything is compiled
+        check_visuals(config.visuals, env.robot)
+    play(config, env, load_policies(files, env, config.any_env))
     return 0
 
 

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+import sys
+from collections.abc import Callable
+from typing import ParamSpec
+
 from agym_jax.errors import AgymError
+
+P = ParamSpec("P")
 
 
 class ConfigError(AgymError, ValueError):
@@ -23,3 +30,19 @@ class CheckpointMismatchError(AgymError, ValueError):
 
 class CheckpointWarning(UserWarning):
     """A checkpoint was skipped because it is damaged."""
+
+
+def reports_errors(main: Callable[P, int]) -> Callable[P, int]:
+    """A command line that says what is wrong instead of showing where it was noticed: exit status 2, interrupted 130."""
+
+    @functools.wraps(main)
+    def run(*args: P.args, **kwargs: P.kwargs) -> int:
+        try:
+            return main(*args, **kwargs)
+        except AgymError as error:
+            print(f"{type(error).__name__}: {error}", file=sys.stderr)
+            return 2
+        except KeyboardInterrupt:
+            return 130
+
+    return run

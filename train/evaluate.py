@@ -16,13 +16,12 @@ import jax
 import tyro
 
 from agym_jax.data.npz import check_writable
-from agym_jax.errors import AgymError
 from agym_jax.policy.agents import AnyPolicy, baseline_policy
 from agym_jax.policy.files import find_policies, load_policies
 
 from .configs import Count
 from .envs import make_env
-from .errors import ConfigError
+from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
 from .runs.record import append_record, record
@@ -84,6 +83,7 @@ class EvaluateConfig:
     """File to which the result is added as a JSON line."""
 
 
+@reports_errors
 def main(
     arguments: Sequence[str] | None = None,
     make: Callable[[str, str], Any] = make_env,
@@ -91,18 +91,14 @@ def main(
 ) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(EvaluateConfig, prog=prog, args=arguments)
-    try:
-        if config.json:
-            check_writable(Path(config.json).parent, "Choose another file with --json.")
-        env = make(config.env_name, config.impl)  # first: it knows which ids there are
-        files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
-        policy = load_policies(files, env, config.any_env)
-        result = evaluate(
-            env, policy, config.num_episodes, config.seed, deterministic=not config.non_det
-        )
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
+    if config.json:
+        check_writable(Path(config.json).parent, "Choose another file with --json.")
+    env = make(config.env_name, config.impl)  # first: it knows which ids there are
+    files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
+    policy = load_policies(files, env, config.any_env)
+    result = evaluate(
+        env, policy, config.num_episodes, config.seed, deterministic=not config.non_det
+    )
     print(result.table())
     if config.json:
         trained = dict(policy.info)

@@ -20,7 +20,6 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import (
-    AgymError,
     PolicyEnvironmentError,
     PolicyLayoutError,
     PolicyNotFoundError,
@@ -30,7 +29,7 @@ from agym_jax.policy.files import FILE_NAMES, find_policies, load_policies, load
 
 from .configs import Count
 from .envs import make_env
-from .errors import ConfigError
+from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
 from .evaluation.seed_scores import SeedScores, score_seeds
@@ -128,6 +127,7 @@ def measure_shipped(
     return evaluator(policy, jax.random.PRNGKey(config.report_seed)), ""
 
 
+@reports_errors
 def main(
     arguments: Sequence[str] | None = None,
     make: Callable[[str, str], Any] = make_env,
@@ -136,17 +136,13 @@ def main(
     """The command line; returns the exit status."""
     config = tyro.cli(SelectConfig, prog=prog, args=arguments, description=__doc__)
     run = Path(config.run).resolve()
-    try:
-        check(config)
-        if config.json:
-            check_writable(Path(config.json).parent, "Choose another file with --json.")
-        env, policies = load_seeds(run, make, config.impl)
-        evaluator = Evaluator(env, config.num_episodes)
-        scores, reported = select(evaluator, policies, config)
-        ships, unfit = measure_shipped(evaluator, config) if config.shipped else (None, "")
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
+    check(config)
+    if config.json:
+        check_writable(Path(config.json).parent, "Choose another file with --json.")
+    env, policies = load_seeds(run, make, config.impl)
+    evaluator = Evaluator(env, config.num_episodes)
+    scores, reported = select(evaluator, policies, config)
+    ships, unfit = measure_shipped(evaluator, config) if config.shipped else (None, "")
     for name in set(FILE_NAMES.values()):
         if (path := seed_folders(run)[scores.best] / name).is_file():
             shutil.copyfile(path, run / name)

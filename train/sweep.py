@@ -20,11 +20,11 @@ import numpy as np
 import tyro
 
 from agym_jax.data.npz import write_file
-from agym_jax.errors import AgymError, UnknownNameError
+from agym_jax.errors import UnknownNameError
 
 from .configs import Count, LearnConfig, PPOConfig, config_for
 from .envs import make_env, refuse_active_human
-from .errors import ConfigError
+from .errors import ConfigError, reports_errors
 from .evaluation.statistics import bootstrap_interval, iqm
 from .learning.agents import Agents
 from .learning.seeds import Lane
@@ -166,6 +166,7 @@ def table(ranked: Sequence[Mapping[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+@reports_errors
 def main(
     arguments: Sequence[str] | None = None,
     make: Callable[[str, str], Any] = make_env,
@@ -173,18 +174,14 @@ def main(
 ) -> int:
     """The command line; returns the exit status."""
     flags = tyro.cli(SweepConfig, prog=prog, args=arguments, description=__doc__)
-    try:
-        settings = parse_grid(flags.grid, flags.random, flags.seed)
-        config = config_for(flags.env_name)
-        config = dataclasses.replace(
-            config, seed=flags.seed, impl=flags.impl, save_dir=flags.save_dir,
-            num_envs=flags.num_envs, num_env_steps=flags.num_env_steps or config.num_env_steps,
-        )  # fmt: skip
-        env = make(flags.env_name, flags.impl)
-        result = sweep(env, config, settings, flags.num_seeds, for_terminal())
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
+    settings = parse_grid(flags.grid, flags.random, flags.seed)
+    config = config_for(flags.env_name)
+    config = dataclasses.replace(
+        config, seed=flags.seed, impl=flags.impl, save_dir=flags.save_dir,
+        num_envs=flags.num_envs, num_env_steps=flags.num_env_steps or config.num_env_steps,
+    )  # fmt: skip
+    env = make(flags.env_name, flags.impl)
+    result = sweep(env, config, settings, flags.num_seeds, for_terminal())
     ranked = rank(result, settings, flags.num_seeds)
     print(summary(result))
     print(table(ranked))

@@ -8,7 +8,17 @@ from pathlib import Path
 
 from agym_jax.data.assets import asset_root
 from agym_jax.registry import static_id
-from benchmarks.markdown import NOTHING, RESULTS, Line, grid, matrix, read_results, several, table
+from benchmarks.markdown import (
+    NOTHING,
+    RESULTS,
+    Line,
+    grid,
+    mark,
+    matrix,
+    read_results,
+    several,
+    table,
+)
 from train.runs import overview
 from train.runs.progress import duration
 
@@ -63,7 +73,9 @@ def selections(folder: Path = RESULTS) -> str:
     if not lines:
         return NOTHING
     of = [training(line) for line in lines]
-    rows = [overview.cells(*both) for both in zip(lines, of, strict=True)]
+    sign, rows = mark(lines), [overview.cells(*both) for both in zip(lines, of, strict=True)]
+    for row, line in zip(rows, lines, strict=True):
+        row[0] += sign(line)
     episodes = several(f"{x['episodes']:,}" for x in lines)
     took = sum(x["wall_seconds"] or x["train_seconds"] for x in of if x)
     note = f"{episodes} episodes of each seed, mode; all trainings one after another: {duration(took)};"

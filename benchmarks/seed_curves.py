@@ -16,7 +16,7 @@ from pathlib import Path
 from PIL import Image
 
 from agym_jax.registry import list_envs
-from benchmarks.markdown import RESULTS, Line, read_results
+from benchmarks.markdown import RESULTS, Line, mark, read_results
 from train.runs.plots import plot_runs
 
 OUTPUT = RESULTS.parent.parent / "docs" / "images" / "seed_curves.png"
@@ -25,10 +25,11 @@ MARK = "shows"
 
 
 def trainings(folder: Path = RESULTS) -> list[Line]:
-    """The newest training of each environment, in the order of the environments."""
+    """The newest training of each environment, in the order of the environments, with a ``mark`` as in tables."""
     order = {name: number for number, name in enumerate(list_envs())}
     lines = read_results("seed_training", ("env",), folder)
-    return sorted(lines, key=lambda x: order[x["env"]])
+    sign = mark(lines)
+    return sorted((x | {"mark": sign(x)} for x in lines), key=lambda x: order[x["env"]])
 
 
 def checksum(runs: Sequence[Line]) -> str:

@@ -45,6 +45,7 @@ from .runs.progress import duration
 
 FILM = "clip.gif"
 LINE_PERIOD = 60.0  # seconds between lines about the whole
+TRAINING = 0.9  # share of training in the work on an environment; the rest is measuring
 PATIENCE = 60.0  # seconds for a training of an earlier session to save its state and end
 
 
@@ -145,7 +146,8 @@ class Runner:
 
     def __post_init__(self) -> None:
         """Fill the slots."""
-        self._lock, self._filming = threading.Lock(), ThreadPoolExecutor(1)
+        cores = os.cpu_count() or 1
+        self._lock, self._filming = threading.Lock(), ThreadPoolExecutor(max(1, cores // 4))
         for _ in range(self.width):
             for gpu in self.gpus or [""]:
                 self.slots.put(gpu)
@@ -265,7 +267,7 @@ class Whole:
         self.start, self.first = time.perf_counter(), self.share()
 
     def of(self, env_name: str) -> float:
-        """Share of an environment's training that is done, by steps."""
+        """Share of an environment's training and measuring that is done."""
         run = Path(self.config.save_dir) / env_name
         if self._known.get(env_name) == 1.0 or selection_of(run):
             return 1.0
@@ -273,7 +275,7 @@ class Whole:
         if not rows:
             return 0.0
         total = json.loads(settings.read_text())["config"]["num_env_steps"]
-        return min(0.99, rows[-1]["env_steps"] / total)
+        return TRAINING * min(1.0, rows[-1]["env_steps"] / total)
 
     def share(self) -> float:
         """Share of the whole that is done, where every environment counts by the steps it needs."""

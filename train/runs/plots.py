@@ -82,7 +82,7 @@ def plot_runs(
 
     Args:
         path: PNG file to write.
-        runs: from ``training_summary``.
+        runs: from ``training_summary``; ``mark`` is put behind the name, where there is one.
         about: text to keep in the file, key -> value.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -112,7 +112,8 @@ def plot_runs(
         if run["steps_to_90"] is not None:
             panel.plot(run["steps_to_90"] / 1e6, 90, "o", color=LINE, markersize=5, zorder=5)
         panel.set(xlim=(0, run["num_env_steps"] / 1e6), ylim=(-2, 102), yticks=range(0, 101, 25))
-        panel.set_title(f"{run['env'].removesuffix('-v0')}, {run['num_seeds']} seeds", fontsize=10)
+        name = run["env"].removesuffix("-v0") + run.get("mark", "")
+        panel.set_title(f"{name}, {run['num_seeds']} seeds", fontsize=10)
         panel.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
         panel.tick_params(labelsize=8, labelleft=True)
         panel.grid(alpha=0.25, linewidth=0.6)

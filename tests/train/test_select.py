@@ -18,7 +18,7 @@ from train.ppo import train
 
 SHORT = PPOConfig(
     num_env_steps=320, num_envs=16, num_mini_batch=4, policy_hidden=(32,), value_hidden=(32,), lr=1e-3,
-    num_seeds=3,
+    num_seeds=3, recompute_advantages=False,  # 16 environments: values would learn so few steps by heart
 )  # fmt: skip
 
 

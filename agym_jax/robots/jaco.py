@@ -12,7 +12,15 @@ _ARM = Arm(
     end_effector="j2s7s300_end_effector",
     tool_frame="tool_frame",
     gripper=tuple(f"j2s7s300_joint_finger_{i}" for i in range(1, 4)),
-    links=("link_7_collision", "link_6_collision", "link_5_collision", "link_4_collision"),
+    links=(
+        "link_7_collision",
+        "finger_1_collision",
+        "finger_2_collision",
+        "finger_3_collision",
+        "link_6_collision",
+        "link_5_collision",
+        "link_4_collision",
+    ),
 )
 _ROBOSUITE = "robosuite/models/assets"
 _BLACK, _PLASTIC = (0.05, 0.05, 0.05, 1.0), (0.88, 0.86, 0.86, 1.0)  # as robosuite paints them

@@ -25,6 +25,7 @@ from agym_jax.human.muscles import Muscles
 from agym_jax.sense import Motion
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import model_fields
+from agym_jax.sim.motors import Aim
 from agym_jax.sim.scene import Scene
 from agym_jax.sim.sensing import (
     ContactSums,
@@ -131,7 +132,7 @@ class NativePhysics:
 
     def __init__(self, scene: Scene, controller: Controller, frame_skip: int):
         self.scene, self.controller, self.frame_skip = scene, controller, frame_skip
-        self.model = _own_model(scene)
+        self.model = controller.model_of(_own_model(scene))
         self._data = mujoco.MjData(self.model)
         self._layout = layout_of(self._data)
         self._data.warning.number[:] = 1  # MuJoCo logs a first warning into the current folder
@@ -140,9 +141,8 @@ class NativePhysics:
         self._written: list[Any] = []  # leaves of what the model holds of an episode
 
         def human_of(episode: Episode) -> tuple[dict[str, Array], Muscles]:
-            damping = controller.damping(episode.human)
-            fields = model_fields(scene, scene.model, episode, damping)
-            return fields, controller.muscles(episode.human)
+            pull = controller.muscles(episode.human)
+            return model_fields(scene, scene.model, episode, pull), pull
 
         self._human_of = jax.jit(human_of)
         self._limit_torque = jax.jit(controller.limit_torque)
@@ -182,18 +182,16 @@ class NativePhysics:
             for _ in range(self.frame_skip):
                 if not _is_sound(d):
                     break
-                d.qfrc_applied[index.human_dof] = self._torque(d, target)
                 if self.watcher:
                     self.watcher.before(d)
-                drive = self.controller.motors.prepare(self.model, d, goal)
+                self._pull(d, target)
+                drive = self.controller.motors.prepare(self.model, d, self.controller.aim(goal))
                 mujoco.mj_step(self.model, d)
                 if self.watcher:
                     self.watcher.after(self.model, d)
                 self.controller.motors.remember(d, drive)
                 if self.controller.at_joints:
-                    q, v = d.qpos[index.human_qpos], d.qvel[index.human_dof]
-                    limits = self.model.jnt_range[index.human_joint]
-                    after = self.controller.after_step(q, v, d.M, limits, np)
+                    after = self.controller.after_step(self.model, d, d.M, np)
                     d.qpos[index.human_qpos], d.qvel[index.human_dof] = after
                 sensors.append(d.sensordata.copy())
                 samples.append(sample_poses(index, d, np))
@@ -212,12 +210,18 @@ class NativePhysics:
             )
             return NativeData.of(d, self._layout), sums, motion
 
-    def _torque(self, d: mujoco.MjData, target: np.ndarray) -> np.ndarray:
-        """Of muscles and pose-dependent limits on the person's joints [N m] (n_person,)."""
-        q = d.qpos[self.scene.index.human_qpos].astype(np.float32)
-        load, v = d.qfrc_bias[self.scene.index.human_dof], d.qvel[self.scene.index.human_dof]
-        torque = self._muscles.torque(target, q, load, np)
-        return torque if self.controller.within_limits(q) else torque + self._limit_torque(q, v)
+    def _pull(self, d: mujoco.MjData, target: np.ndarray) -> None:
+        """Prepare the person's joints: muscles, ligaments and pose-dependent limits."""
+        index, muscles = self.scene.index, self._muscles
+        if not len(index.human_dof):
+            return
+        q, v = d.qpos[index.human_qpos].astype(np.float32), d.qvel[index.human_dof]
+        load = d.qfrc_bias[index.human_dof].copy()
+        besides = muscles.passive * load
+        if not self.controller.within_limits(q):
+            besides = besides + self._limit_torque(q, v)
+        aim = Aim(target, muscles.rate, muscles.bound, muscles.damping)
+        self.controller.human_motors.prepare(self.model, d, aim, load - besides, besides)
 
     def overflow(self, data: NativeData) -> Array:
         """Never: C MuJoCo's buffers grow ()."""
@@ -229,7 +233,7 @@ class NativePhysics:
         same = len(leaves) == len(self._written)
         if not (same and all(a is b for a, b in zip(leaves, self._written, strict=True))):
             fields, muscles = jax.device_get(self._human_of(episode))
-            self._muscles = Muscles(float(muscles.gain), float(muscles.bound), muscles.passive)
+            self._muscles = Muscles(*(float(x) for x in muscles[:3]), muscles.passive)
             for name, value in fields.items():
                 getattr(self.model, name)[:] = value
             self._written = leaves

@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from jax import Array
 
@@ -19,7 +20,8 @@ from agym_jax.errors import ActionError
 from agym_jax.human import body, limits, muscles
 from agym_jax.human.population import Human
 from agym_jax.sim.index import Index
-from agym_jax.sim.motors import InertiaBlock, Motors
+from agym_jax.sim.landing import Landing, hold_early
+from agym_jax.sim.motors import Aim, InertiaBlock, Motors
 from agym_jax.sim.scene import Scene
 from agym_jax.spec import HumanSpec, Task
 from agym_jax.state import Episode
@@ -76,7 +78,10 @@ class Controller:
     index: Index
     spec: HumanSpec  # of the joints that are hinges in the scene
     active: bool  # whether the person acts
-    motors: Motors
+    motors: Motors  # of the robot
+    rate: float  # of the robot's motors [1/s]
+    max_torque: float  # of the robot's motors [N m]
+    human_motors: Motors  # the person's muscles
     action_scale: float  # of a full action [rad]
     robot_range: np.ndarray  # joint limits [rad]                             (n_arm, 2)
     arm_limits: limits.ArmLimits
@@ -84,11 +89,13 @@ class Controller:
     human_inertia: InertiaBlock  # of the person's joints
     time_step: float = 0.0  # of the physics [s]
     at_joints: bool = False  # whether people have AG's masses, see ``muscles.as_bullet``
+    landing: Landing | None = None  # of their arms on the bed
 
     @classmethod
     def of(cls, scene: Scene, task: Task, active: bool, masses: str = "body") -> Controller:
         """The driver of a scene; ``masses`` is the population's."""
         names = scene.moving
+        at_joints = masses == "ag" and bool(names)
         arms = [
             (np.array([names.index(f"{side}_{joint}") for joint in ARM]), sign)
             for side, sign in (("r", 1.0), ("l", -1.0))
@@ -98,15 +105,23 @@ class Controller:
             index=scene.index,
             spec=dataclasses.replace(task.human, joints=scene.moving),
             active=active,
-            motors=Motors.of(scene.model, scene.index.robot_dof, task.control),
+            motors=Motors.of(scene.model, scene.index.robot_dof, task.control.time_step),
+            rate=task.control.rate,
+            max_torque=task.control.max_torque,
+            human_motors=Motors.of(scene.model, scene.index.human_dof, task.control.time_step),
             action_scale=task.control.action_scale,
             robot_range=np.array(scene.model.jnt_range[scene.index.robot_joint], np.float32),
             arm_limits=limits.load_arm_limits(),
             arms=tuple(arms),
             human_inertia=InertiaBlock.of(scene.model, scene.index.human_dof),
             time_step=task.control.time_step,
-            at_joints=masses == "ag" and bool(names),
+            at_joints=at_joints,
+            landing=Landing.of(scene.model, scene.index) if at_joints else None,
         )
+
+    def model_of(self, model: mujoco.MjModel) -> mujoco.MjModel:
+        """The scene's model, or a copy with contacts as people with AG's masses need them."""
+        return model if self.landing is None else hold_early(model, self.landing.pairs)
 
     def targets(self, episode: Episode, qpos: Array, action: Array) -> ControlTargets:
         """What an action means, given where the joints are.
@@ -163,10 +178,9 @@ class Controller:
         moving = muscles.is_moving(human.tremor, self.active)
         return muscles.muscles_of(self.spec, human.strength, moving, human.at_joints)
 
-    def damping(self, human: Human) -> Array:
-        """Of the person's joints [N m s/rad] ()."""
-        moving = muscles.is_moving(human.tremor, self.active)
-        return muscles.damping(self.spec, human.strength, moving, human.at_joints)
+    def aim(self, goal: Any) -> Aim:
+        """What the robot's motors are to do to reach these angles [rad] (n_arm,)."""
+        return Aim(goal, self.rate, self.max_torque)
 
     def limit_torque(self, q: Array, v: Array) -> Array:
         """Pose-dependent limits of the arms: a torque beside the muscles' [N m] (n_person,).
@@ -181,20 +195,24 @@ class Controller:
             torque = torque.at[arm].set(push)
         return torque
 
-    def after_step(
-        self, q: Any, v: Any, matrix: Any, limits: Any, xp: Any = jnp
-    ) -> tuple[Any, Any]:
-        """The person's joints after a physics step, see ``muscles.as_bullet``; only if ``at_joints``.
+    def after_step(self, model: Any, data: Any, matrix: Any, xp: Any = jnp) -> tuple[Any, Any]:
+        """The person's angles and velocities after a physics step, as in Bullet; only if ``at_joints``.
+
+        What falls onto the bed stops at its surface (``Landing``), and joints at their limits (``muscles.as_bullet``).
 
         Args:
-            q: angles [rad] (n_person,).
-            v: velocities [rad/s] (n_person,).
+            model: with this person in it.
+            data: as the step leaves it: new angles and velocities, and where everything was as it began.
             matrix: of inertia, of the whole scene, as the physics keeps it.
-            limits: of the joints [rad] (n_person, 2).
             xp: numpy or jax.numpy.
         """
-        inertia = self.human_inertia.read(matrix, xp)
-        return muscles.as_bullet(q, v, inertia, limits, self.time_step, xp)
+        q, v = data.qpos[self.index.human_qpos], data.qvel[self.index.human_dof]
+        if self.landing is not None:
+            mobility = xp.linalg.inv(self.human_inertia.read(matrix, xp))
+            after = self.landing.stop(v, mobility, model, data, self.time_step, xp)
+            q, v = q + self.time_step * (after - v), after
+        limits = model.jnt_range[self.index.human_joint]
+        return muscles.as_bullet(q, v, limits, self.time_step, xp)
 
     def within_limits(self, q: np.ndarray) -> bool:
         """Whether ``limit_torque`` is zero, and need not be computed; in NumPy, float32."""

@@ -14,6 +14,7 @@ from agym_jax.data.banks import Placement
 from agym_jax.human import population
 from agym_jax.human import pose as human_pose
 from agym_jax.human.body import BodyFields
+from agym_jax.human.muscles import Muscles
 from agym_jax.sim.motors import implicit_armature
 from agym_jax.sim.scene import Scene
 from agym_jax.spec import HumanSpec
@@ -89,14 +90,14 @@ def geom_sizes(scene: Scene, episode: Episode) -> Array:
     return sizes.at[scene.index.human_geom].set(episode.rows.geom_size)
 
 
-def model_fields(scene: Scene, model: Any, episode: Episode, damping: Array) -> dict[str, Array]:
+def model_fields(scene: Scene, model: Any, episode: Episode, muscles: Muscles) -> dict[str, Array]:
     """The fields of a model in which this episode's person and robot base are written.
 
     Args:
         scene: of the pair.
         model: ``mjx.Model`` or ``MjModel`` of the scene; it is not changed.
         episode: of the environment.
-        damping: of the person's joints [N m s/rad] ().
+        muscles: of this person.
     """
     index, rows, place = scene.index, episode.rows, episode.placement
     bodies, geoms, joints = index.human_body, index.human_geom, index.human_joint
@@ -117,10 +118,11 @@ def model_fields(scene: Scene, model: Any, episode: Episode, damping: Array) -> 
         "geom_rbound": of("geom_rbound").at[geoms].set(rows.geom_rbound),
         "jnt_pos": of("jnt_pos").at[joints].set(rows.jnt_pos),
         "jnt_range": of("jnt_range").at[joints].set(rows.jnt_range),
-        "dof_damping": of("dof_damping").at[index.human_dof].set(damping),
+        "dof_damping": of("dof_damping").at[index.human_dof].set(muscles.damping),
+        "dof_frictionloss": of("dof_frictionloss").at[index.human_dof].set(muscles.bound),
         "dof_armature": of("dof_armature").at[index.human_dof]
         .multiply(1.0 - episode.human.at_joints).at[index.human_dof]
-        .add(implicit_armature(damping, scene.model.opt.timestep)),
+        .add(implicit_armature(muscles.damping, scene.model.opt.timestep)),
         "body_invweight0": _blend(scene, "body_invweight0", episode.human.sex),
         "dof_invweight0": _blend(scene, "dof_invweight0", episode.human.sex),
     }  # fmt: skip

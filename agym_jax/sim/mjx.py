@@ -21,6 +21,7 @@ from agym_jax.math3d import rotation_matrix
 from agym_jax.sense import Motion
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import model_fields, start_qpos
+from agym_jax.sim.motors import Aim
 from agym_jax.sim.scene import Scene
 from agym_jax.sim.sensing import (
     ContactSums,
@@ -70,7 +71,7 @@ class MjxPhysics:
         self.frame_skip, self.num_envs = frame_skip, num_envs
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # MJX's notes on its own experimental features
-            self.model = put_model(scene.model, impl)
+            self.model = put_model(controller.model_of(scene.model), impl)
         self._static = np.flatnonzero(scene.model.body_weldid[scene.model.geom_bodyid] == 0)
 
     def sized_for(self, num_envs: int) -> MjxPhysics:
@@ -115,32 +116,38 @@ class MjxPhysics:
         wait_for_kernels()
         index, model = self.scene.index, self.model_of(episode)
         muscles, motors = self.controller.muscles(episode.human), self.controller.motors
+        aim = self.controller.aim(targets.goal)
+        pulls = Aim(targets.target, muscles.rate, muscles.bound, muscles.damping)
 
         def substep(carry: tuple[mjx.Data, ContactSums], _: None) -> tuple[tuple, PoseSample]:
             data, contacts = carry
-            q, v = data.qpos[index.human_qpos], data.qvel[index.human_dof]
-            pull = muscles.torque(targets.target, q, data.qfrc_bias[index.human_dof])
-            torque = pull + self.controller.limit_torque(q, v)
-            q, v = data.qpos[index.robot_qpos], data.qvel[index.robot_dof]
-            bias, inertia = data.qfrc_bias[index.robot_dof], motors.inertia(data._impl.M)
-            drive = motors.drive(inertia, bias, q, v, targets.goal)
-            applied = data.qfrc_applied.at[index.human_dof].set(torque)
-            data = data.replace(
-                qfrc_applied=applied.at[index.robot_dof].set(drive.torque),
-                qvel=data.qvel.at[index.robot_dof].set(drive.velocity),
-                qacc_warmstart=data.qacc_warmstart.at[index.robot_dof].set(drive.guess),
-            )
-            solref = model.dof_solref.at[index.robot_dof].set(drive.solref)
+            inertia = data._impl.M
+            robot_dof, human_dof = index.robot_dof, index.human_dof
+            q, v = data.qpos[index.robot_qpos], data.qvel[robot_dof]
+            drive = motors.drive(motors.inertia(inertia), data.qfrc_bias[robot_dof], q, v, aim)
+            torque = data.qfrc_applied.at[robot_dof].set(drive.torque)
+            velocity = data.qvel.at[robot_dof].set(drive.velocity)
+            guess = data.qacc_warmstart.at[robot_dof].set(drive.guess)
+            solref = model.dof_solref.at[robot_dof].set(drive.solref)
+            if len(human_dof):
+                q, v = data.qpos[index.human_qpos], data.qvel[human_dof]
+                load = data.qfrc_bias[human_dof]
+                besides = muscles.passive * load + self.controller.limit_torque(q, v)
+                pull = self.controller.human_motors.drive(
+                    self.controller.human_motors.inertia(inertia), load - besides, q, v, pulls
+                )
+                torque = torque.at[human_dof].set(besides + pull.torque)
+                velocity = velocity.at[human_dof].set(pull.velocity)
+                guess = guess.at[human_dof].set(pull.guess)
+                solref = solref.at[human_dof].set(pull.solref)
+            data = data.replace(qfrc_applied=torque, qvel=velocity, qacc_warmstart=guess)
             data = mjx.step(model.replace(dof_solref=solref), data)
             forces = (data.qfrc_smooth, data.qfrc_constraint, data.qacc)
             bias = motors.bias(drive, *(x[index.robot_dof] for x in forces))
             data = data.replace(qfrc_bias=data.qfrc_bias.at[index.robot_dof].set(bias))
             if self.controller.at_joints:
                 human_q, human_v = index.human_qpos, index.human_dof
-                limits = model.jnt_range[index.human_joint]
-                q, v = self.controller.after_step(
-                    data.qpos[human_q], data.qvel[human_v], data._impl.M, limits
-                )
+                q, v = self.controller.after_step(model, data, data._impl.M)
                 data = data.replace(
                     qpos=data.qpos.at[human_q].set(q), qvel=data.qvel.at[human_v].set(v)
                 )
@@ -163,8 +170,8 @@ class MjxPhysics:
 
     def model_of(self, episode: Episode) -> mjx.Model:
         """The model with this episode's person and robot base in it."""
-        damping = self.controller.damping(episode.human)
-        return self.model.tree_replace(model_fields(self.scene, self.model, episode, damping))
+        muscles = self.controller.muscles(episode.human)
+        return self.model.tree_replace(model_fields(self.scene, self.model, episode, muscles))
 
 
 def put_model(model: mujoco.MjModel, impl: str) -> Any:

@@ -36,14 +36,21 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from agym_jax.spec import Control
-
 ROTOR = 3.0
 """Stiffness of the constraint: the inertia of the rotor whose velocity it asks for, per N m of bound [kg m2]."""
 NEARLY_STILL = 1e-4
 """A velocity that is none [rad/s]: what the damper turns round must have one."""
 SWEEPS = 3
 """Over the joints, from the base to the hand, to guess their accelerations. More spare the solver little."""
+
+
+class Aim(NamedTuple):
+    """What motors are to do."""
+
+    angles: Any  # to reach [rad]                                            (n,)
+    rate: Any  # velocity asked for, per angle that is missing [1/s]         ()
+    bound: Any  # of the torque [N m]; without any, a joint moves freely     ()
+    damping: Any = None  # of the joints, if not that of the model [N m s/rad]  ()
 
 
 class Drive(NamedTuple):
@@ -53,6 +60,7 @@ class Drive(NamedTuple):
     torque: Any  # besides the constraint [N m]                              (n,)
     solref: Any  # of the constraint                                         (n, 2)
     guess: Any  # at the acceleration, for the solver to begin with [rad/s2]  (n,)
+    bound: Any  # of the torque [N m]                                        (n,)
 
 
 @dataclass(frozen=True, eq=False)  # has arrays in it: equal if identical
@@ -84,29 +92,25 @@ class InertiaBlock:
 class Motors:
     """The motors of one scene, in action order: pure functions of one environment."""
 
-    rate: float  # velocity asked for, per angle that is missing [1/s]
     time_step: float  # physics step [s]
     damping: np.ndarray  # of the joints themselves [N m s/rad]               (n,)
     impedance: np.ndarray  # of the constraints                               (n,)
     softness: np.ndarray  # of the constraints [1 / (kg m2)]                  (n,)
-    bound: np.ndarray  # of the torque [N m]                                  (n,)
     mass: np.ndarray  # of the joints, one by one, in the rest pose [kg m2]   (n,)
     dofs: np.ndarray  # of the joints                                         (n,)
     qpos: np.ndarray  # addresses of their angles                             (n,)
     block: InertiaBlock  # the joints' part of the inertia
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, dofs: np.ndarray, control: Control) -> Motors:
+    def of(cls, model: mujoco.MjModel, dofs: np.ndarray, time_step: float) -> Motors:
         """Of the joints with these dofs, in a model that ``add_motors`` and ``stiffen_motors`` have seen."""
         impedance = model.dof_solimp[dofs, 1]
         softness = (1.0 - impedance) / impedance * model.dof_invweight0[dofs]
         return cls(
-            rate=control.rate,
-            time_step=control.time_step,
+            time_step=time_step,
             damping=model.dof_damping[dofs].astype(np.float32),
             impedance=impedance.astype(np.float32),
             softness=softness.astype(np.float32),
-            bound=model.dof_frictionloss[dofs].astype(np.float32),
             mass=model.dof_M0[dofs].astype(np.float32),
             dofs=dofs,
             qpos=model.jnt_qposadr[model.dof_jntid[dofs]],
@@ -117,7 +121,7 @@ class Motors:
         """The joints' part of the inertia matrix, however the physics keeps it [kg m2] (n, n)."""
         return self.block.read(matrix, xp)
 
-    def drive(self, inertia: Any, bias: Any, q: Any, v: Any, goal: Any, xp: Any = jnp) -> Drive:
+    def drive(self, inertia: Any, bias: Any, q: Any, v: Any, aim: Aim, xp: Any = jnp) -> Drive:
         """What to do in the next physics step.
 
         Args:
@@ -125,21 +129,23 @@ class Motors:
             bias: what ``bias`` returned after the last physics step [N m] (n,).
             q: their angles [rad] (n,).
             v: their velocities [rad/s] (n,).
-            goal: angles to reach [rad] (n,).
+            aim: what the motors are to do.
             xp: numpy or jax.numpy.
         """
-        wanted = self.rate * (goal - q)
+        wanted = xp.where(aim.bound > 0.0, aim.rate * (aim.angles - q), v)
         way = xp.sign(wanted)
         too_slow = (v * way > -NEARLY_STILL) & (abs(v) < abs(wanted))
         near = xp.where(2 * abs(v) < abs(wanted), -NEARLY_STILL * way, wanted)
         start = xp.where(too_slow, near, v)
         damper = (start - wanted) / (self.time_step * xp.where(start == 0.0, 1.0, start))
         damper = xp.where(start == 0.0, 0.0, damper)
-        torque = inertia @ (v - start) / self.time_step - self.damping * (v - start)
-        guess = self.guess(inertia, torque - self.damping * start - bias, -damper * start, xp)
-        return Drive(start, torque, xp.stack([0.0 * damper, -damper * self.impedance], -1), guess)
+        damping = self.damping if aim.damping is None else aim.damping
+        torque = inertia @ (v - start) / self.time_step - damping * (v - start)
+        guess = self.guess(inertia, torque - damping * start - bias, -damper * start, aim.bound, xp)
+        solref = xp.stack([0.0 * damper, -damper * self.impedance], -1)
+        return Drive(start, torque, solref, guess, aim.bound)
 
-    def guess(self, inertia: Any, torque: Any, wanted: Any, xp: Any = jnp) -> Any:
+    def guess(self, inertia: Any, torque: Any, wanted: Any, bounds: Any, xp: Any = jnp) -> Any:
         """Accelerations of the joints if nothing but the motors changes [rad/s2] (n,).
 
         The acceleration of the last physics step tells nothing of this one's, which begins at another velocity: from
@@ -151,6 +157,7 @@ class Motors:
             inertia: of the joints [kg m2] (n, n); zeros before the first physics step.
             torque: without that of the motors [N m] (n,).
             wanted: acceleration that the motors ask for [rad/s2] (n,).
+            bounds: of the motors' torques [N m] () or (n,).
             xp: numpy or jax.numpy.
         """
         inertia = xp.where(xp.any(inertia != 0.0), inertia, np.diag(self.mass))
@@ -160,8 +167,7 @@ class Motors:
         for _ in range(SWEEPS):
             for i, old in enumerate(guess):
                 free = old - mobility[i] * lack[i]
-                bound = self.bound[i]
-                motor = xp.clip(stiffness[i] * (wanted[i] - free), -bound, bound)
+                motor = xp.clip(stiffness[i] * (wanted[i] - free), -bounds, bounds)
                 guess[i] = free + mobility[i] * motor
                 lack = lack + inertia[:, i] * (guess[i] - old)
         return xp.stack(guess)
@@ -179,21 +185,30 @@ class Motors:
             xp: numpy or jax.numpy.
         """
         wanted = drive.solref[:, 1] / self.impedance * drive.velocity
-        motor = xp.clip((wanted - acceleration) / self.softness, -self.bound, self.bound)
+        motor = xp.clip((wanted - acceleration) / self.softness, -drive.bound, drive.bound)
         return motor - constraint - (smooth - drive.torque + self.damping * drive.velocity)
 
-    def prepare(self, model: mujoco.MjModel, data: mujoco.MjData, goal: np.ndarray) -> Drive:
+    def prepare(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        aim: Aim,
+        load: Any = None,
+        besides: Any = 0.0,
+    ) -> Drive:
         """Drive the joints in the next ``mj_step`` of C MuJoCo: writes into both model and data.
 
         Args:
             model: of the scene.
             data: of the scene; its inertia matrix is that of the last physics step.
-            goal: angles to reach [rad] (n,).
+            aim: what the motors are to do.
+            load: what they work against, if not what ``remember`` kept [N m] (n,).
+            besides: torque on the joints that is no motor's [N m] (n,).
         """
         at, dofs = self.qpos, self.dofs
-        inertia = self.inertia(data.M, np)
-        drive = self.drive(inertia, data.qfrc_bias[dofs], data.qpos[at], data.qvel[dofs], goal, np)
-        data.qvel[dofs], data.qfrc_applied[dofs] = drive.velocity, drive.torque
+        load = data.qfrc_bias[dofs] if load is None else load
+        drive = self.drive(self.inertia(data.M, np), load, data.qpos[at], data.qvel[dofs], aim, np)
+        data.qvel[dofs], data.qfrc_applied[dofs] = drive.velocity, besides + drive.torque
         data.qacc_warmstart[dofs] = drive.guess
         model.dof_solref[dofs] = drive.solref
         return drive
@@ -205,12 +220,12 @@ class Motors:
         data.qfrc_bias[dofs] = self.bias(drive, smooth, constraint, data.qacc[dofs], np)
 
 
-def add_motors(spec: mujoco.MjSpec, control: Control, joints: list[str]) -> None:
+def add_motors(spec: mujoco.MjSpec, joints: list[str], max_torque: float, time_step: float) -> None:
     """Put motors into joints, and make the joints' own damping implicit, see ``implicit_armature``."""
     for name in joints:
         joint = spec.joint(name)
-        joint.frictionloss = control.max_torque
-        joint.armature += implicit_armature(joint.damping[0], control.time_step)
+        joint.frictionloss = max_torque
+        joint.armature += implicit_armature(joint.damping[0], time_step)
 
 
 def implicit_armature(damping: Any, time_step: float) -> Any:

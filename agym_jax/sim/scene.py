@@ -156,7 +156,11 @@ def compose(
     _attach(spec, build_human(rows, moving, d, links, visual), Pose(), "human/")
     for i, surface in enumerate(surfaces):
         _add_surface(spec, f"surface_{i}", surface)
-    add_motors(spec, task.control, [f"robot/{n}" for arm in arms for n in arm.joints])
+    control = task.control
+    driven = [f"robot/{n}" for arm in arms for n in arm.joints]
+    add_motors(spec, driven, control.max_torque, control.time_step)
+    for name in moving:
+        spec.joint(f"human/{name}").frictionloss = task.human.max_torque
     _add_contacts(spec, task, robot, contact_pairs(task, arms, moving))
     if not everything:
         _make_lean(spec, f"robot/{robot_root}", links)

@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from agym_jax.human import muscles
 from agym_jax.human.population import Human
+from agym_jax.robots import ROBOTS
+from agym_jax.sim.motors import Aim, Motors
+from agym_jax.sim.scene import build_scene
 from agym_jax.state import Episode
 from agym_jax.tasks import TASKS
 
@@ -19,51 +24,64 @@ N = len(SPEC.joints)
 GIRDLE = np.array(["clavicle" in name for name in SPEC.joints])  # deviation girdle-support
 
 
-def _torque(target, angle, load, strength=1.0, moving=False) -> np.ndarray:
-    full = lambda x: jnp.full(N, x, jnp.float32)  # noqa: E731
-    mine = muscles.muscles_of(SPEC, jnp.float32(strength), jnp.bool_(moving))
-    return np.asarray(mine.torque(full(target), full(angle), full(load)))
+def _muscles(strength: float = 1.0, moving: bool = False, spec=SPEC) -> muscles.Muscles:
+    return muscles.muscles_of(spec, jnp.float32(strength), jnp.bool_(moving))
 
 
 @pytest.mark.parametrize("strength", [0.25, 0.6, 1.0])
-@pytest.mark.parametrize("moving", [False, True])
-def test_torque_never_exceeds_the_bound(strength: float, moving: bool):
-    rng = np.random.default_rng(0)
-    for target, angle, load in rng.uniform(-3, 3, (50, 3)):
-        torque = _torque(target, angle, load, strength, moving)
-        muscle = torque - np.where(GIRDLE, load, 0.0)  # ligaments bear the girdle's load
-        assert np.abs(muscle).max() <= strength * 1.0 + 1e-6
-    # and reaches it, in either direction
-    np.testing.assert_allclose(_torque(3, -3, 0, strength, moving), strength, rtol=1e-6)
-    np.testing.assert_allclose(_torque(-3, 3, 0, strength, moving), -strength, rtol=1e-6)
+def test_the_bound_is_the_strength_and_the_rate_says_who_moves(strength: float):
+    for moving, rate in ((False, SPEC.hold_rate), (True, SPEC.move_rate)):
+        mine = _muscles(strength, moving)
+        np.testing.assert_allclose(mine.bound, strength * SPEC.max_torque, rtol=1e-6)
+        np.testing.assert_allclose(mine.rate, rate, rtol=1e-6)
+        np.testing.assert_allclose(mine.damping, muscles.TISSUE_DAMPING, rtol=1e-6)
+        np.testing.assert_array_equal(mine.passive, GIRDLE)
 
 
-def test_weak_person_cannot_hold_what_a_strong_one_holds():
-    weight = 0.6  # [N m], between the weakest person's 0.25 and full strength's 1
-    np.testing.assert_allclose(_torque(0.3, 0.3, weight, 1.0), weight, rtol=1e-6)
-    assert GIRDLE.sum() == 3
-    weak = _torque(0.3, 0.3, weight, 0.25)
-    np.testing.assert_allclose(weak[~GIRDLE], 0.25, rtol=1e-6)
-    np.testing.assert_allclose(weak[GIRDLE], weight, rtol=1e-6)
-    # even half a radian of sag does not help
-    np.testing.assert_allclose(_torque(0.3, -0.2, weight, 0.25)[~GIRDLE], 0.25, rtol=1e-6)
+class _Arm:
+    """A held arm in C MuJoCo, without gravity, and a torque on one of its joints."""
+
+    def __init__(self, strength: float, target: float = 0.0, moving: bool = False) -> None:
+        task, robot = TASKS["ScratchItch"], ROBOTS["Jaco"]
+        self.scene = build_scene(task, robot)
+        self.model = copy.copy(self.scene.model)
+        self.model.opt.gravity[:] = 0.0
+        self.model.pair_margin[:] = -1.0  # nothing touches
+        self.dofs = self.scene.index.human_dof
+        mine = _muscles(strength, moving)
+        self.model.dof_frictionloss[self.dofs] = mine.bound
+        self.model.dof_damping[self.dofs] = mine.damping
+        self.motors = Motors.of(self.model, self.dofs, task.control.time_step)
+        self.data = mujoco.MjData(self.model)
+        q = self.data.qpos[self.scene.index.human_qpos]
+        goal = q + target * (np.array(self.scene.moving) == "r_elbow_x")
+        self.aim = Aim(goal, float(mine.rate), float(mine.bound), float(mine.damping))
+        mujoco.mj_forward(self.model, self.data)
+
+    def pushed(self, joint: str, torque: float, steps: int = 50) -> float:
+        """How far the joint has moved in the end [rad]."""
+        i = self.scene.moving.index(joint)
+        before = self.data.qpos[self.scene.index.human_qpos[i]]
+        push = np.zeros(len(self.dofs))
+        push[i] = torque
+        for _ in range(steps):
+            load = self.data.qfrc_bias[self.dofs].copy()
+            self.motors.prepare(self.model, self.data, self.aim, load - push, push)
+            mujoco.mj_step(self.model, self.data)
+        return self.data.qpos[self.scene.index.human_qpos[i]] - before
 
 
-def test_full_action_against_a_blocked_joint_takes_the_bound():
-    # AG: 5 x 0.05 rad at gain 0.05 a step of 0.02 s, 1 N m (tasks.md section 1.5)
-    pull = _torque(0.25, 0.0, 0.0, 1.0, moving=True)
-    assert (pull <= 1.0).all() and (pull > 0.99).all()
+@pytest.mark.parametrize("strength", [0.25, 1.0])
+def test_a_held_arm_stands_still_up_to_its_strength_and_gives_way_beyond_it(strength: float):
+    assert abs(_Arm(strength).pushed("r_elbow_x", 0.9 * strength)) < 0.01
+    assert abs(_Arm(strength).pushed("r_elbow_x", -1.5 * strength)) > 0.2
 
 
-def test_damping_grows_with_strength_and_never_vanishes():
-    still, moving = jnp.bool_(False), jnp.bool_(True)
-    for how in (still, moving):
-        weak, strong = (float(muscles.damping(SPEC, jnp.float32(s), how)) for s in (0.25, 1.0))
-        assert 0 < weak < strong
-    # a still person is the stiffer damper: hold_rate is a fifth of move_rate
-    assert muscles.damping(SPEC, jnp.float32(1.0), still) > muscles.damping(
-        SPEC, jnp.float32(1.0), moving
-    )
+def test_a_target_is_reached_against_less_than_the_bound_only():
+    for torque in (0.0, 0.5):
+        moved = _Arm(1.0, target=-0.25, moving=True).pushed("r_elbow_x", torque, steps=150)
+        np.testing.assert_allclose(moved, -0.25, atol=0.02)
+    assert _Arm(1.0, target=-0.25, moving=True).pushed("r_elbow_x", 1.3) > -0.05
 
 
 def _episode(tremor: float, step: int) -> Episode:
@@ -105,24 +123,18 @@ def test_only_active_and_trembling_people_move():
 
 def test_limp_arms_have_no_muscles_and_frozen_people_no_motion():
     limp, frozen = (dataclasses.replace(SPEC, passive_mode=x) for x in ("limp", "frozen"))
-    still, moving, one = jnp.bool_(False), jnp.bool_(True), jnp.float32(1.0)
-    load = jnp.full(N, 0.3)
-    clavicles = np.array(["clavicle" in x for x in SPEC.joints])
-    torque = muscles.muscles_of(limp, one, still).torque(jnp.ones(N), jnp.zeros(N), load)
-    np.testing.assert_allclose(torque, np.where(clavicles, 0.3, 0.0))
-    np.testing.assert_allclose(muscles.damping(limp, one, still), muscles.TISSUE_DAMPING)
-    assert muscles.damping(frozen, one, still) > 1e3
+    mine = _muscles(spec=limp)
+    assert mine.bound == 0.0
+    np.testing.assert_array_equal(mine.passive, GIRDLE)
+    np.testing.assert_allclose(mine.damping, muscles.TISSUE_DAMPING)
+    mine = _muscles(spec=frozen)
+    assert mine.bound == 0.0 and mine.damping > 1e3
     # an active or trembling person has the same muscles whatever a still one does
     for spec in (limp, frozen):
-        mine, usual = (
-            muscles.muscles_of(x, one, moving).torque(jnp.ones(N), jnp.zeros(N), load)
-            for x in (spec, SPEC)
-        )
-        np.testing.assert_allclose(mine, usual)
+        for a, b in zip(_muscles(moving=True, spec=spec), _muscles(moving=True), strict=True):
+            np.testing.assert_allclose(a, b)
 
 
 def test_mattress_bears_the_arm_of_who_lies_down():
     lying = dataclasses.replace(SPEC, postures="BedBathing", passive_mode="limp")
-    mine = muscles.muscles_of(lying, jnp.float32(1.0), jnp.bool_(False))
-    torque = mine.torque(jnp.zeros(N), jnp.zeros(N), jnp.full(N, 0.3))
-    np.testing.assert_array_equal(torque, 0.0)
+    np.testing.assert_array_equal(_muscles(spec=lying).passive, 0.0)

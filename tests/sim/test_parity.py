@@ -22,6 +22,7 @@ from agym_jax.human.pose import sample_pose
 from agym_jax.math3d import rotation_matrix
 from agym_jax.offline import kinematics
 from agym_jax.sim.episode import human_rows
+from agym_jax.sim.motors import Aim
 from agym_jax.sim.sensing import add_contacts, motion_at_rest, no_contacts, sense
 from agym_jax.state import Episode, Placement
 
@@ -154,35 +155,38 @@ class _Shadow:
         self.model = compiled_human(env, episode)
         mine = env.physics.model_of(episode)
         # the muscles' damping belongs to the episode; invweights are interpolated on purpose
-        for name in ("dof_damping", "dof_armature", "body_invweight0", "dof_invweight0"):
+        for name in (
+            "dof_damping", "dof_armature", "dof_frictionloss", "dof_solimp",
+            "body_invweight0", "dof_invweight0",
+        ):  # fmt: skip
             getattr(self.model, name)[:] = np.asarray(getattr(mine, name))
         self.data = mujoco.MjData(self.model)
-        muscles = env.controller.muscles(episode.human)
-        self.torque = jax.jit(
-            lambda target, q, v, load: (
-                muscles.torque(target, q, load) + env.controller.limit_torque(q, v)
-            )
-        )
+        self.muscles = jax.device_get(env.controller.muscles(episode.human))
+        self.limit_torque = jax.jit(env.controller.limit_torque)
 
     def step(self, before: Any, action: np.ndarray) -> Any:
         """Five physics steps from MJX's state; returns the touch sums."""
-        d, index, motors = self.data, self.index, self.env.controller.motors
+        controller = self.env.controller
+        d, index, motors = self.data, self.index, controller.motors
         for name in ("qpos", "qvel", "qacc_warmstart", "qfrc_bias"):
             getattr(d, name)[:] = np.asarray(getattr(before.data, name))
         goal = np.asarray(
             self.env.controller.targets(before.episode, before.data.qpos, action).goal
         )
-        d.M[motors.block.entries] = np.asarray(motors.inertia(before.data._impl.M))
+        for each in (motors, controller.human_motors):
+            d.M[each.block.entries] = np.asarray(each.inertia(before.data._impl.M))
         held = jnp.asarray(before.data.qpos)[index.human_qpos]
         target, _ = self.env.controller.human_target(before.episode, held, jnp.zeros(0))
         touch, contacts = no_contacts(index), 0
         for _ in range(self.env.task.control.frame_skip):
             q, v = d.qpos[index.human_qpos], d.qvel[index.human_dof]
-            load = d.qfrc_bias[index.human_dof]
-            d.qfrc_applied[index.human_dof] = self.torque(
-                target, *(jnp.asarray(x, jnp.float32) for x in (q, v, load))
+            load, m = d.qfrc_bias[index.human_dof].copy(), self.muscles
+            besides = m.passive * load + np.asarray(
+                self.limit_torque(*(jnp.asarray(x, jnp.float32) for x in (q, v)))
             )
-            motors.prepare(self.model, d, goal)
+            aim = Aim(np.asarray(target), m.rate, m.bound, m.damping)
+            controller.human_motors.prepare(self.model, d, aim, load - besides, besides)
+            motors.prepare(self.model, d, controller.aim(goal))
             mujoco.mj_step(self.model, d)
             touch = add_contacts(index, touch, jnp.asarray(d.sensordata, jnp.float32))
             contacts = max(contacts, d.ncon)

@@ -5,11 +5,13 @@ between them and 86 % on average: MuJoCo's cone is a pyramid here, Bullet's is r
 DEVIATION(no-rolling): contacts of tools and robots resist sliding only. AG's scratcher and wiper also resist rolling and
 spinning on the person, with 0.5 mm times the force: 0.0025 N m at 5 N, 0.25 % of a motor's torque.
 DEVIATION(bed-contact): a limb that falls onto the bed is stopped after the physics step in which it entered, up to 2 cm
-deep, and gives way; Bullet stops it at the surface. With AG's masses the wrist follows AG's within 1 cm until the arm meets
-the bed (a man; AG's woman starts with the shoulder above the pillow, where the girdle falls to its limit first, and is 9 cm
-off by then), and is 7 cm (man) and 8 cm (woman) from AG's on average over the first second. Where the arm lies still, elbow
-and wrist are as high as AG's within 1.6 cm; a man's wrist is 7 cm nearer to the feet, as AG's arm creeps up the edge. Of
-the person's links, upper arm and girdle also resist rolling on the bed, in AG forearm and hand, too.
+deep, and gives way; Bullet stops it at the surface. People with AG's masses land as in Bullet (``landing``): with them a man's wrist
+follows AG's within 1 cm until the arm meets the bed and is 2.7 cm off on average over the first second, a woman's 4 and 6 cm, as her girdle falls
+onto the pillow first (medians of twelve drops; 7.4, and 9 and 8 cm, without landing). What is left is the bed's surface, 3 mm from AG's (``bed-shape``): in AG
+itself, a mattress 3 mm higher or lower moves a man's wrist by 1.6 and 1.7 cm and a woman's by 6.3 and 8.2 cm, 1 mm higher by 0.9 and 3.0
+cm; and physics steps half as long move them by 3.7 and 6.5 cm. Where the arm lies still, elbow and wrist are as high as AG's within 1.6 cm; a man's wrist is 7 cm
+nearer to the feet, as AG's arm creeps up the folds of the mesh: in AG with the mattress 3 mm higher it creeps 3 cm instead of 8, and
+with Bullet's law on our smooth bed it does not. Of the person's links, upper arm and girdle also resist rolling on the bed, in AG forearm and hand, too.
 """
 
 from __future__ import annotations

@@ -18,7 +18,8 @@ import numpy as np
 from agym_jax.human import anthropometry, body, muscles
 from agym_jax.human import pose as human_pose
 from agym_jax.robots import ROBOTS
-from agym_jax.sim.motors import InertiaBlock
+from agym_jax.sim.control import Controller
+from agym_jax.sim.motors import Aim
 from agym_jax.sim.scene import Scene, build_scene
 from agym_jax.tasks import TASKS
 from benchmarks.parity.row import Row, traces
@@ -38,12 +39,12 @@ class Person:
     Attributes:
         scene: where; its model is not written into.
         model: a copy with this person in it.
-        at_joints: whether masses are AG's.
+        controller: what drives this person, by whose masses.
     """
 
     scene: Scene
     model: mujoco.MjModel
-    at_joints: bool
+    controller: Controller
 
     @classmethod
     def lying(
@@ -59,7 +60,9 @@ class Person:
             task: whose scene it is.
         """
         spec, scene = TASKS[task].human, build_scene(TASKS[task], ROBOTS["Jaco"])
-        model, index, d = copy.copy(scene.model), scene.index, anthropometry.dims(float(sex))
+        controller = Controller.of(scene, TASKS[task], False, "ag" if at_joints else "body")
+        model = copy.copy(controller.model_of(scene.model))
+        index, d = scene.index, anthropometry.dims(float(sex))
         pose = human_pose.BodyPose(base[:3], base[[6, 3, 4, 5]], angles)
         rows = human_pose.rows(spec, pose, d, scene.moving, 1.0, np, float(at_joints))
         for ids, kept, names in (
@@ -76,9 +79,11 @@ class Person:
         model.dof_damping[index.robot_dof] = 0.0
         damping = 0.0 if at_joints else muscles.TISSUE_DAMPING
         model.dof_damping[index.human_dof] = damping
+        model.dof_frictionloss[index.human_dof] = 0.0  # no muscle pulls
+        model.dof_frictionloss[index.human_dof] = 0.0  # limp
         model.dof_armature[index.human_dof] *= 0.0 if at_joints else 1.0
         model.dof_armature[index.human_dof] += damping * model.opt.timestep
-        return cls(scene, model, at_joints)
+        return cls(scene, model, controller)
 
     def released(self, q: np.ndarray, v: np.ndarray | float = 0.0, steps: int = 150) -> np.ndarray:
         """Elbow and wrist after every physics step, the start first, world [m] (steps + 1, 2, 3)."""
@@ -97,14 +102,10 @@ class Person:
 
     def after_step(self, data: mujoco.MjData) -> None:
         """What ``Controller.after_step`` does."""
-        if not self.at_joints:
-            return
-        index, model = self.scene.index, self.model
-        q, v = data.qpos[index.human_qpos], data.qvel[index.human_dof]
-        inertia = InertiaBlock.of(model, index.human_dof).read(data.M, np)
-        limits = model.jnt_range[index.human_joint]
-        after = muscles.as_bullet(q, v, inertia, limits, model.opt.timestep, np)
-        data.qpos[index.human_qpos], data.qvel[index.human_dof] = after
+        if self.controller.at_joints:
+            index, model = self.scene.index, self.model
+            after = self.controller.after_step(model, data, data.M, np)
+            data.qpos[index.human_qpos], data.qvel[index.human_dof] = after
 
     def load(self, q: np.ndarray) -> np.ndarray:
         """Torques that hold the arm [N m] (10,)."""
@@ -176,21 +177,22 @@ def seated(run: int, at_joints: bool) -> float:
     base = np.concatenate([pose.root_pos, pose.root_quat[[1, 2, 3, 0]]])
     who = Person.lying(int(sex), base, pose.angles, at_joints, "ScratchItch")
     model, index, still = who.model, who.scene.index, jnp.bool_(False)
-    how = spec, jnp.float32(strength), still, float(at_joints)
-    damping = float(muscles.damping(*how))
+    pull = muscles.muscles_of(spec, jnp.float32(strength), still, float(at_joints))
+    pull = muscles.Muscles(*(np.asarray(x) for x in pull))
     model.dof_armature[index.human_dof] += (
-        damping - model.dof_damping[index.human_dof]
+        pull.damping - model.dof_damping[index.human_dof]
     ) * model.opt.timestep
-    model.dof_damping[index.human_dof] = damping
-    pull = muscles.Muscles(*(np.asarray(x) for x in muscles.muscles_of(*how)))
+    model.dof_damping[index.human_dof] = pull.damping
+    model.dof_frictionloss[index.human_dof] = pull.bound
     data, hand = mujoco.MjData(model), model.body("human/right_hand").id
     held = human_pose.start_angles(pose, who.scene.moving, limit_scale, np)
-    data.qpos[index.human_qpos] = held
+    data.qpos[index.human_qpos], data.M[:] = held, 0.0
     mujoco.mj_kinematics(model, data)
-    start = data.xpos[hand, 2]
+    start, aim = data.xpos[hand, 2], Aim(held, pull.rate, pull.bound, pull.damping)
     for _ in range(100):
-        q, load = data.qpos[index.human_qpos], data.qfrc_bias[index.human_dof]
-        data.qfrc_applied[index.human_dof] = pull.torque(held, q, load, np)
+        load = data.qfrc_bias[index.human_dof].copy()
+        besides = pull.passive * load
+        who.controller.human_motors.prepare(model, data, aim, load - besides, besides)
         mujoco.mj_step(model, data)
         who.after_step(data)
     return float(start - data.xpos[hand, 2])
@@ -237,7 +239,7 @@ def rows() -> list[Row]:
     fall = t["seated_pos"][:, 0, 2, 2] - t["seated_pos"][:, 4, 2, 2]  # within 2 s
     for run, who in ((0, "man of full strength"), (3, "weak man"), (7, "weak woman")):
         for masses, at_joints, why in (
-            ("AG's masses", True, "muscle-damping"),
+            ("AG's masses", True, "person-mass"),
             ("our masses", False, "girdle-support"),
         ):
             found.append(

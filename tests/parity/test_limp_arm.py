@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from parity_rows import assert_rows_hold_or_name_a_deviation
 
 from agym_jax.human import body, muscles
+from agym_jax.sim import landing
 from benchmarks.parity import limp_arm
 from benchmarks.parity.row import traces
 
@@ -38,10 +41,12 @@ def test_mass_at_mid_limb_is_ours(sex: int):
 
 
 def test_man_s_arm_swings_as_ags_until_it_meets_the_bed():
-    before, _, rest = limp_arm.drops(0)
+    before, second, rest = limp_arm.drops(0)
     assert np.median(before) < 0.01
-    assert (before < 0.02).sum() >= 9  # of twelve
-    assert np.median(rest) < 0.03
+    assert (before < 0.025).sum() >= 10  # of twelve
+    # as far as AG's own when its mattress is moved by 3 mm: deviation bed-contact
+    assert np.median(second) < 0.03
+    assert np.median(rest) < 0.02
 
 
 @pytest.mark.parametrize("sex", [0, 1])
@@ -54,24 +59,57 @@ def test_arm_rests_where_ags_does(sex: int, at_joints: bool):
     assert np.abs((ours - ag)[..., 1].mean(0)).max() < 0.09
 
 
-def test_a_joint_beyond_its_limit_is_put_back_and_the_rest_slows_down():
-    from agym_jax.human.muscles import as_bullet
-
+def test_a_joint_beyond_its_limit_is_put_back_alone_and_the_rest_slows_down():
     limits, h = np.array([[-1.0, 1.0], [-1.0, 1.0]]), 0.02
     before, drag = np.array([2.0, 1.0]), lambda v: v * (1.0 - h * 0.04 * (1.0 + abs(v)))
-    q, v = as_bullet(np.array([1.01, 0.0]), before, np.eye(2), limits, h, np)
-    np.testing.assert_allclose(q, [1.0, 0.0])  # no farther than the limit in this step
-    np.testing.assert_allclose(v, drag(np.array([2.0 - 0.01 / h, 1.0])))
-    # the impulse that stops one joint moves what hangs on it: the momentum of the other stays
-    inertia = np.array([[2.0, 0.5], [0.5, 1.0]])
-    q, v = as_bullet(np.array([1.01, 0.0]), before, inertia, limits, h, np)
-    change = np.linalg.solve(inertia, np.array([1.0, 0.0]))
-    change *= -0.01 / h / change[0]
-    np.testing.assert_allclose(v, drag(before + change))
-    np.testing.assert_allclose(q, [1.0, h * change[1]])
+    q, v = muscles.as_bullet(np.array([1.01, 0.0]), before, limits, h, np)
+    np.testing.assert_allclose(q, [1.0, 0.0])
+    np.testing.assert_allclose(v, drag(np.array([0.0, 1.0])))
     # nothing at a limit: nothing stops
-    _, free = as_bullet(np.zeros(2), before, inertia, limits, h, np)
+    _, free = muscles.as_bullet(np.zeros(2), before, limits, h, np)
     np.testing.assert_allclose(free, drag(before))
+
+
+def test_an_arm_that_falls_stops_at_the_surface_of_the_bed():
+    arm = limp_arm.person(0)
+    model, index = arm.model, arm.scene.index
+    data, inside = mujoco.MjData(model), []
+    limbs = [model.geom(f"human/right_{x}").id for x in ("upper_arm", "forearm", "hand")]
+    bed = [i for i in range(model.ngeom) if model.geom(i).name.startswith("seat/")]
+    for start in traces("limp_arm")["male_bed_start"]:
+        mujoco.mj_resetData(model, data)
+        data.qpos[index.human_qpos] = start
+        for _ in range(50):
+            mujoco.mj_step(model, data)
+            arm.after_step(data)
+            mujoco.mj_kinematics(model, data)
+            gaps = [
+                mujoco.mj_geomDistance(model, data, a, b, 0.1, None) for a in limbs for b in bed
+            ]
+            inside.append(-min(gaps))
+    assert np.percentile(inside, 99) < 0.005  # it falls at up to 1.7 m/s, 3.4 cm in a step
+    assert max(inside) < 0.02
+
+
+def test_contacts_push_and_their_friction_is_bounded():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        rows = rng.normal(size=(9, 5))
+        slip, friction = rng.normal(size=(3, 3)), np.array([0.15, 0.15, 0.5])
+        sweeps = [landing._impulses(rows @ rows.T, slip, friction, xp) for xp in (np, jnp)]
+        np.testing.assert_allclose(*sweeps, atol=1e-4)
+        normal, side = sweeps[0][:, 0], np.linalg.norm(sweeps[0][:, 1:], axis=1)
+        assert (normal >= 0).all()
+        assert (side <= friction * normal + 1e-9).all()
+
+
+def test_a_contact_alone_stops_exactly():
+    slip = np.array([[-2.0, 0.1, 0.0]])  # within the cone: it sticks
+    found = landing._impulses(np.eye(3), slip, np.array([0.15]), np)
+    np.testing.assert_allclose(found, [[2.0, -0.1, 0.0]], atol=1e-6)
+    slip = np.array([[-2.0, 3.0, 4.0]])
+    found = landing._impulses(np.eye(3), slip, np.array([0.15]), np)
+    np.testing.assert_allclose(found, [[2.0, -0.18, -0.24]], atol=1e-6)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])

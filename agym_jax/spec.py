@@ -62,7 +62,7 @@ class Arm:
     end_effector: str  # site: the link that Assistive Gym steers
     tool_frame: str  # site: canonical tool frame, z = approach, x = across the fingers
     gripper: tuple[str, ...]  # finger joints
-    links: tuple[str, ...]  # collision geoms that may touch the person, hand first
+    links: tuple[str, ...]  # collision geoms that may touch the person: hand, fingers, then inwards
 
 
 @dataclass(frozen=True)

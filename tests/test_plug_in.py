@@ -31,7 +31,7 @@ from agym_jax.math3d import rotation_matrix
 from agym_jax.offline import placements
 from agym_jax.registry import parse, register_robot, register_task
 from agym_jax.robots import ROBOTS
-from agym_jax.sim.motors import Motors
+from agym_jax.sim.motors import Aim, Motors
 from agym_jax.sim.scene import build_scene, compose
 from agym_jax.tasks import TASKS
 
@@ -146,10 +146,13 @@ def test_the_scene_has_the_toys_joints_motors_and_contacts(toy: ModuleType):
 
 def test_c_mujoco_simulates_the_toy(toy: ModuleType):
     model = compose(toy.WAVING, toy.TOYBOT, active=True)
-    data, dofs = mujoco.MjData(model), np.flatnonzero(model.dof_frictionloss)
-    motors = Motors.of(model, dofs, toy.WAVING.control)
+    data, dofs = mujoco.MjData(model), _motors(model, "robot/")
+    assert len(_motors(model, "human/")) == 4  # the person's muscles
+    control = toy.WAVING.control
+    motors = Motors.of(model, dofs, control.time_step)
+    aim = Aim(np.full(7, 0.25), control.rate, control.max_torque)
     for _ in range(1000):
-        motors.prepare(model, data, np.full(7, 0.25))
+        motors.prepare(model, data, aim)
         mujoco.mj_step(model, data)
     assert not any(warning.number for warning in data.warning)
     # nothing pulls at the robot: it goes where its motors want it
@@ -159,13 +162,17 @@ def test_c_mujoco_simulates_the_toy(toy: ModuleType):
 @pytest.mark.parametrize("visual", [False, True])
 def test_every_pair_with_ours_compiles(toy: ModuleType, visual: bool):
     for task in OUR_TASKS:
-        assert _motors(compose(TASKS[task], toy.TOYBOT, visual=visual)) == 7
+        model = compose(TASKS[task], toy.TOYBOT, visual=visual)
+        assert len(_motors(model, "robot/")) == 7
     for robot in OUR_ROBOTS:
-        assert _motors(compose(toy.WAVING, ROBOTS[robot], visual=visual)) == 7
+        model = compose(toy.WAVING, ROBOTS[robot], visual=visual)
+        assert len(_motors(model, "robot/")) == 7
 
 
-def _motors(model: mujoco.MjModel) -> int:
-    return np.count_nonzero(model.dof_frictionloss)
+def _motors(model: mujoco.MjModel, whose: str) -> np.ndarray:
+    """Dofs with a motor, of joints whose names begin so."""
+    driven = np.flatnonzero(model.dof_frictionloss)
+    return driven[[model.joint(j).name.startswith(whose) for j in model.dof_jntid[driven]]]
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ class Arm:
         for action in actions:
             goal = np.asarray(self.controller.robot_goal(jnp.asarray(path[-1]), action))
             for _ in range(self.control.frame_skip):
-                self.controller.motors.prepare(model, data, goal)
+                self.controller.motors.prepare(model, data, self.controller.aim(goal))
                 mujoco.mj_step(model, data)
             path.append(data.qpos[self.qpos].copy())
         return np.array(path)

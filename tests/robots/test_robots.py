@@ -317,9 +317,13 @@ def test_links_that_may_touch_are_capsules_and_spheres(name: str):
         for link in arm.links:
             kind = mujoco.mjtGeom(model.geom(link).type[0])
             assert kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE), link
-        # hand first, then inwards, all of them parts of the arm that moves
+        # hand first, then its fingers, if they have bodies of their own, then inwards; all of them move
         parts = [int(model.body_weldid[model.geom(g).bodyid[0]]) for g in arm.links]
-        assert parts == sorted(parts, reverse=True) and parts[-1] > 0
+        hand, fingers = parts[0], [x for x in parts if x > parts[0]]
+        assert parts[1 : 1 + len(fingers)] == sorted(fingers)
+        assert all(model.body(x).parentid[0] == hand for x in fingers)
+        inwards = [hand, *parts[1 + len(fingers) :]]
+        assert inwards == sorted(inwards, reverse=True) and inwards[-1] > 0
 
 
 def test_jacos_capsules_fill_their_links():

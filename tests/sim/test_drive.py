@@ -2,7 +2,6 @@
 
 # ruff: noqa: D103
 import copy
-import dataclasses
 
 import jax
 import jax.numpy as jnp
@@ -14,12 +13,18 @@ import agym_jax
 from agym_jax.robots import ROBOTS
 from agym_jax.sim import impulse
 from agym_jax.sim.control import INCREMENT, Controller
-from agym_jax.sim.motors import Motors, add_motors, stiffen_motors
+from agym_jax.sim.motors import Aim, Motors, add_motors, stiffen_motors
 from agym_jax.sim.scene import build_scene
 from agym_jax.spec import Control
 from agym_jax.tasks import TASKS
 
 CONTROL = Control(time_step=0.02, frame_skip=5, rate=2.5, max_torque=1.0, action_scale=0.25)
+STEP = CONTROL.time_step
+
+
+def to(angles: np.ndarray, control: Control = CONTROL) -> Aim:
+    """What the robot's motors are to do to reach these angles."""
+    return Aim(angles, control.rate, control.max_torque)
 
 
 def hinge(inertia: float, torque: float = 0.0) -> tuple[mujoco.MjModel, mujoco.MjData, Motors]:
@@ -28,11 +33,11 @@ def hinge(inertia: float, torque: float = 0.0) -> tuple[mujoco.MjModel, mujoco.M
     spec.option.timestep, spec.option.integrator = 0.02, mujoco.mjtIntegrator.mjINT_EULER
     body = spec.worldbody.add_body(mass=1.0, inertia=[inertia] * 3, explicitinertial=True)
     body.add_joint(name="joint", axis=[0, 0, 1])
-    add_motors(spec, CONTROL, ["joint"])
+    add_motors(spec, ["joint"], CONTROL.max_torque, STEP)
     model = spec.compile()
     stiffen_motors(model)
     data = mujoco.MjData(model)
-    motors = Motors.of(model, np.array([0]), CONTROL)
+    motors = Motors.of(model, np.array([0]), STEP)
     mujoco.mj_forward(model, data)
     return model, data, motors
 
@@ -42,7 +47,7 @@ def hinge(inertia: float, torque: float = 0.0) -> tuple[mujoco.MjModel, mujoco.M
 def test_a_light_joint_has_the_wanted_velocity_after_one_step(start: float, wanted: float):
     model, data, motors = hinge(0.001)
     data.qvel[:] = start
-    motors.prepare(model, data, data.qpos + wanted / CONTROL.rate)
+    motors.prepare(model, data, to(data.qpos + wanted / CONTROL.rate))
     mujoco.mj_step(model, data)
     np.testing.assert_allclose(data.qvel, wanted, atol=2e-3)
 
@@ -51,7 +56,7 @@ def test_a_light_joint_has_the_wanted_velocity_after_one_step(start: float, want
 def test_a_heavy_joint_accelerates_under_the_whole_bound(start: float):
     model, data, motors = hinge(1.0)
     data.qvel[:] = start
-    motors.prepare(model, data, data.qpos + 0.25)
+    motors.prepare(model, data, to(data.qpos + 0.25))
     mujoco.mj_step(model, data)
     np.testing.assert_allclose(data.qvel - start, 0.02 * CONTROL.max_torque / 1.0, rtol=1e-3)
 
@@ -60,7 +65,7 @@ def test_a_heavy_joint_accelerates_under_the_whole_bound(start: float):
 def test_a_joint_that_is_not_driven_stands_still_up_to_the_bound(push: float, yields: bool):
     model, data, motors = hinge(0.01)
     for _ in range(50):
-        motors.prepare(model, data, data.qpos.copy())
+        motors.prepare(model, data, to(data.qpos.copy()))
         data.qfrc_applied += push
         mujoco.mj_step(model, data)
     assert (abs(data.qpos[0]) > 0.1) == yields
@@ -71,18 +76,21 @@ def test_a_joint_that_is_not_driven_stands_still_up_to_the_bound(push: float, yi
 def test_numpy_and_jax_drive_alike():
     rng = np.random.default_rng(0)
     scene = build_scene(TASKS["ScratchItch"], ROBOTS["Jaco"])
-    motors = Motors.of(scene.model, scene.index.robot_dof, TASKS["ScratchItch"].control)
+    motors = Motors.of(scene.model, scene.index.robot_dof, STEP)
     for _ in range(20):
         bias, q, v, goal = rng.normal(size=(4, 7)).astype(np.float32)
         v *= rng.choice([0.0, 1e-6, 0.1, 1.0])
         root = rng.normal(size=(7, 7)).astype(np.float32)
-        given = (root @ root.T + np.eye(7, dtype=np.float32), bias, q, v, goal)
-        one, two = motors.drive(*given, np), motors.drive(*map(jnp.asarray, given))
+        given = (root @ root.T + np.eye(7, dtype=np.float32), bias, q, v)
+        aim = Aim(goal, *rng.choice([0.0, 0.5, 2.5], 3).astype(np.float32))
+        one, two = motors.drive(*given, aim, np), motors.drive(*map(jnp.asarray, given), aim)
         for a, b in zip(one, two, strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3)
 
 
-def play(model: mujoco.MjModel, motors: Motors, guesses: bool) -> tuple[np.ndarray, float]:
+def play(
+    model: mujoco.MjModel, motors: Motors, control: Control, guesses: bool
+) -> tuple[np.ndarray, float]:
     """Angles under random actions, and the solver's mean number of iterations per physics step."""
     rng, data, angles, iterations = np.random.default_rng(0), mujoco.MjData(model), [], []
     data.M[:] = 0.0
@@ -91,7 +99,7 @@ def play(model: mujoco.MjModel, motors: Motors, guesses: bool) -> tuple[np.ndarr
         goal = data.qpos[motors.qpos] + 0.25 * rng.uniform(-1.0, 1.0, len(motors.dofs))
         for _ in range(5):
             before = data.qacc_warmstart.copy()
-            drive = motors.prepare(model, data, goal)
+            drive = motors.prepare(model, data, to(goal, control))
             if not guesses:
                 data.qacc_warmstart[:] = before
             mujoco.mj_step(model, data)
@@ -106,8 +114,10 @@ def test_the_guess_spares_iterations_and_changes_nothing(task: str, robot: str):
     scene = build_scene(TASKS[task], ROBOTS[robot])
     model, control = copy.copy(scene.model), TASKS[task].control
     model.body_pos[scene.index.robot_base] = (0.0, 0.0, 30.0)  # far from everything
-    motors = Motors.of(model, scene.index.robot_dof, control)
-    (angles, iterations), (same, more) = (play(model, motors, guesses) for guesses in (True, False))
+    motors = Motors.of(model, scene.index.robot_dof, control.time_step)
+    (angles, iterations), (same, more) = (
+        play(model, motors, control, guesses) for guesses in (True, False)
+    )
     np.testing.assert_allclose(angles, same, atol=1e-6)
     assert iterations < 0.75 * more
 
@@ -117,7 +127,7 @@ def test_the_guess_for_one_joint_is_exact(push: float):
     model, data, motors = hinge(1.0)
     for _ in range(3):  # what pushes is known from the second physics step
         data.qvel[:] = 0.1
-        drive = motors.prepare(model, data, data.qpos + 0.25)
+        drive = motors.prepare(model, data, to(data.qpos + 0.25))
         data.qfrc_applied += push
         mujoco.mj_step(model, data)
         found = data.qacc[0]
@@ -127,7 +137,7 @@ def test_the_guess_for_one_joint_is_exact(push: float):
 
 def test_the_inertia_is_found_in_any_layout():
     scene = build_scene(TASKS["ArmManipulation"], ROBOTS["PR2"])
-    motors = Motors.of(scene.model, scene.index.robot_dof, TASKS["ArmManipulation"].control)
+    motors = Motors.of(scene.model, scene.index.robot_dof, STEP)
     data = mujoco.MjData(scene.model)
     mujoco.mj_forward(scene.model, data)
     dense = np.zeros((scene.model.nv, scene.model.nv))
@@ -188,14 +198,14 @@ def paddle(damping: float = 0.0) -> mujoco.MjModel:
         type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0.1, 0, 0, 0.3, 0, 0], size=[0.02, 0, 0],
         mass=0.3, solref=[0.04, 1.0],
     )  # fmt: skip
-    add_motors(spec, dataclasses.replace(CONTROL, max_torque=1e-3), ["joint"])
+    add_motors(spec, ["joint"], 1e-3, STEP)
     return spec.compile()
 
 
 @pytest.mark.parametrize("hidden", [0.0, 5.0])
 def test_a_torque_that_nobody_has_is_found(hidden: float):
     model = paddle()
-    data, motors = mujoco.MjData(model), Motors.of(model, np.array([0]), CONTROL)
+    data, motors = mujoco.MjData(model), Motors.of(model, np.array([0]), STEP)
     account = impulse.Account(motors, 1e-3)
     data.qfrc_applied[:] = hidden
     for _ in range(50):  # falls, and lies on the floor

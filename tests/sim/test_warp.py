@@ -68,9 +68,9 @@ def test_each_environment_of_warp_touches_its_own_person():
     for i, model in enumerate(models):
         c = mujoco.MjData(model)
         c.qpos[:] = press[i]
-        force = 0.0
+        force, aim = 0.0, env.controller.aim(press[i][index.robot_qpos])
         for _ in range(env.task.control.frame_skip):
-            env.controller.motors.prepare(model, c, press[i][index.robot_qpos])
+            env.controller.motors.prepare(model, c, aim)
             mujoco.mj_step(model, c)
             force += np.abs(c.sensordata[index.robot_human]).sum()
             force += sum(np.abs(c.sensordata[t.on_human]).sum() for t in index.tools)

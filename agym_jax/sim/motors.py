@@ -40,6 +40,8 @@ ROTOR = 3.0
 """Stiffness of the constraint: the inertia of the rotor whose velocity it asks for, per N m of bound [kg m2]."""
 NEARLY_STILL = 1e-4
 """A velocity that is none [rad/s]: what the damper turns round must have one."""
+VANISHING = 1e-12
+"""A velocity by which nothing can be divided [rad/s]: less than 1e-37 times the step is 0 in float32."""
 SWEEPS = 3
 """Over the joints, from the base to the hand, to guess their accelerations. More spare the solver little."""
 
@@ -137,8 +139,9 @@ class Motors:
         too_slow = (v * way > -NEARLY_STILL) & (abs(v) < abs(wanted))
         near = xp.where(2 * abs(v) < abs(wanted), -NEARLY_STILL * way, wanted)
         start = xp.where(too_slow, near, v)
-        damper = (start - wanted) / (self.time_step * xp.where(start == 0.0, 1.0, start))
-        damper = xp.where(start == 0.0, 0.0, damper)
+        still = abs(start) < VANISHING
+        damper = (start - wanted) / (self.time_step * xp.where(still, 1.0, start))
+        damper = xp.where(still, 0.0, damper)
         damping = self.damping if aim.damping is None else aim.damping
         torque = inertia @ (v - start) / self.time_step - damping * (v - start)
         guess = self.guess(inertia, torque - damping * start - bias, -damper * start, aim.bound, xp)

@@ -73,6 +73,19 @@ def test_a_joint_that_is_not_driven_stands_still_up_to_the_bound(push: float, yi
         assert abs(data.qpos[0]) < 0.01  # it creeps
 
 
+@pytest.mark.parametrize("bound", [0.0, 1.0])
+@pytest.mark.parametrize("start", [0.0, 1e-320, 2e-38, 1e-20, -1e-38])
+def test_a_joint_that_comes_to_rest_is_no_division_by_zero(start: float, bound: float):
+    _, data, motors = hinge(0.01)
+    given = np.eye(1), np.zeros(1), data.qpos, np.full(1, start)
+    aim = Aim(data.qpos.copy(), CONTROL.rate, bound)
+    with np.errstate(all="raise", under="ignore"):
+        one = motors.drive(*given, aim, np)
+    two = motors.drive(*(jnp.asarray(x, jnp.float32) for x in given), aim)
+    for found in (*one, *two):
+        assert np.isfinite(found).all()
+
+
 def test_numpy_and_jax_drive_alike():
     rng = np.random.default_rng(0)
     scene = build_scene(TASKS["ScratchItch"], ROBOTS["Jaco"])

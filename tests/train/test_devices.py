@@ -134,7 +134,8 @@ from train.errors import ConfigError
 from train import coop, ppo
 
 BASE = dict(num_env_steps=60_000, num_envs=32, num_mini_batch=4, policy_hidden=(32,),
-            value_hidden=(32,), lr=2e-3, log_interval=8, save_dir=None)
+            value_hidden=(32,), lr=2e-3, log_interval=8, save_dir=None,
+            recompute_advantages=False)  # 32 environments: values would learn so few steps by heart
 config = CoopConfig(**BASE)
 found = {"devices": jax.device_count()}
 for devices in (1, 2):
@@ -173,7 +174,8 @@ from train.configs import CoopConfig, PPOConfig
 from train import coop, ppo
 
 BASE = dict(num_env_steps=60_000, num_envs=32, num_mini_batch=4, policy_hidden=(32,), num_seeds=2,
-            value_hidden=(32,), lr=2e-3, log_interval=8, save_dir=None)
+            value_hidden=(32,), lr=2e-3, log_interval=8, save_dir=None,
+            recompute_advantages=False)  # 32 environments: values would learn so few steps by heart
 found = {}
 for devices in (1, 2):
     result = ppo.train(FakePairEnv(active=False), PPOConfig(**BASE, devices=devices))

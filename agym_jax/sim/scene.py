@@ -5,8 +5,8 @@ a second hand), ``human/``, ``seat/``, ``seat/<prop>/`` and ``mount/``. The phys
 visual geoms, hinges only where something moves. The same function with ``visual=True`` gives the model that
 people look at, with ``solid=True`` the one in which everything has its collision shape.
 
-DEVIATION(contacts): contact is simulated between named primitives only: tool, hand, wrist and forearm
-of the robot, the limbs that a task names, and the right armrest or the mattress. The robot does not
+DEVIATION(contacts): contact is simulated between named primitives only: tool, hand, fingers, wrist and
+forearm of the robot, the limbs that a task names, and the right armrest or the mattress. The robot does not
 collide with itself or with the rest of the furniture; AG uses convex meshes of everything.
 DEVIATION(hard-limits): human joint limits are MuJoCo's limit constraints; AG resets the joint, as ``Population(masses="ag")``
 does besides.

@@ -15,7 +15,6 @@ import copy
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 
@@ -185,16 +184,13 @@ def _impulses(matrix: Any, slip: Any, friction: Any, xp: Any) -> Any:
     rate = 1.0 / xp.maximum(spread, 1e-6)
     rate = xp.stack([rate[:, 0], *2 * [xp.minimum(rate[:, 1], rate[:, 2])]], axis=1)
 
-    def sweep(_: Any, impulse: Any) -> Any:
+    impulse = 0.0 * slip
+    for _ in range(
+        SWEEPS
+    ):  # no fori_loop: inside the scan over physics steps XLA's for CPUs gave other numbers
         moved = impulse - rate * (slip + (matrix @ impulse.reshape(-1)).reshape(n, 3))
         normal, side = xp.maximum(moved[:, :1], 0.0), moved[:, 1:]
         most = friction[:, None] * normal
         long = xp.sqrt(xp.sum(side**2, axis=1, keepdims=True) + 1e-12)
-        return xp.concatenate([normal, side * xp.minimum(1.0, most / long)], axis=1)
-
-    start = 0.0 * slip
-    if xp is np:
-        for _ in range(SWEEPS):
-            start = sweep(None, start)
-        return start
-    return jax.lax.fori_loop(0, SWEEPS, sweep, start)
+        impulse = xp.concatenate([normal, side * xp.minimum(1.0, most / long)], axis=1)
+    return impulse

@@ -47,6 +47,8 @@ class _Arm:
         self.model = copy.copy(self.scene.model)
         self.model.opt.gravity[:] = 0.0
         self.model.pair_margin[:] = -1.0  # nothing touches
+        self.model.dof_armature[self.scene.index.robot_dof] = 1e6  # nobody drives it
+        self.model.jnt_limited[self.scene.index.robot_joint] = 0
         self.dofs = self.scene.index.human_dof
         mine = _muscles(strength, moving)
         self.model.dof_frictionloss[self.dofs] = mine.bound
@@ -68,6 +70,7 @@ class _Arm:
             load = self.data.qfrc_bias[self.dofs].copy()
             self.motors.prepare(self.model, self.data, self.aim, load - push, push)
             mujoco.mj_step(self.model, self.data)
+        assert not any(warning.number for warning in self.data.warning)  # it was not reset
         return self.data.qpos[self.scene.index.human_qpos[i]] - before
 
 

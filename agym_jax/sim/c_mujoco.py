@@ -233,7 +233,8 @@ class NativePhysics:
         same = len(leaves) == len(self._written)
         if not (same and all(a is b for a, b in zip(leaves, self._written, strict=True))):
             fields, muscles = jax.device_get(self._human_of(episode))
-            self._muscles = Muscles(*(float(x) for x in muscles[:3]), muscles.passive)
+            rate, bound, damping = (float(x) for x in muscles[:3])
+            self._muscles = Muscles(rate, bound, damping, muscles.passive)
             for name, value in fields.items():
                 getattr(self.model, name)[:] = value
             self._written = leaves

@@ -117,7 +117,7 @@ def rows() -> list[Row]:
                 here = float(np.median(apart(mine, ag, step)[i]))
                 quantity = f"{name}: {what} from AG's after {step} control steps, median"
                 out.append(Row(quantity, unit, theirs, here, tolerance, why[i]))
-        force = [float(x.force.mean()) for x in (ag, mine)]
+        theirs, here = float(ag.force.mean()), float(mine.force.mean())
         quantity = f"{name}: force of robot and tool on the person, mean of 4 s"
-        out.append(Row(quantity, "N", *force, 0.25 * force[0], "jaco-hand"))
+        out.append(Row(quantity, "N", theirs, here, 0.25 * theirs, "jaco-hand"))
     return out

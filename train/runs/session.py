@@ -148,8 +148,10 @@ def run_session(
                 hyper.learns[i] = 0.0
                 manager.stopped[lanes[i].name] = diverged(going.pop(i))
                 progress.say(f"{lanes[i].name} diverged {diverged(bad)}; the others go on.")
+            row = manager.add(
+                going
+            )  # first: an interrupt in it must not lose the row of a learner that is kept
             learner, env_steps = next_learner, env_steps + count * batch
-            row = manager.add(going)
             progress.update(row)
             since_save += count
             due = since_save >= config.save_interval or now - last_save > SAVE_PERIOD
@@ -237,6 +239,8 @@ def _say_resumed(
 
 
 def _on_terminate(*_: Any) -> None:
+    # once: Linux tells a child of each thread of its parent that dies, and the state is being saved
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 

@@ -148,9 +148,8 @@ def run_session(
                 hyper.learns[i] = 0.0
                 manager.stopped[lanes[i].name] = diverged(going.pop(i))
                 progress.say(f"{lanes[i].name} diverged {diverged(bad)}; the others go on.")
-            row = manager.add(
-                going
-            )  # first: an interrupt in it must not lose the row of a learner that is kept
+            # before the learner moves on: an interrupt in it must not lose the row of what is kept
+            row = manager.add(going)
             learner, env_steps = next_learner, env_steps + count * batch
             progress.update(row)
             since_save += count

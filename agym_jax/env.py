@@ -45,6 +45,8 @@ from agym_jax.sim.sensing import ContactSums, motion_at_rest, no_contacts, sense
 from agym_jax.spec import Privileged, RobotSpec, Task
 from agym_jax.state import Episode, State, select, strong
 
+MAX_SPEED = 1e3
+"""Of a joint [rad/s]: a simulation in which one is faster has exploded, and counts as NaN. Bullet stops at 100."""
 METRICS = (
     "force/on_human", "force/tool_on_human", "force/robot_on_human", "force/tool", "success", "nan",
     "overflow",
@@ -240,7 +242,7 @@ class AssistiveEnv:
         # observe
         obs, privileged_obs = self._observe(task, sensed)
         bad = ~(
-            jnp.all(jnp.isfinite(data.qpos)) & jnp.all(jnp.isfinite(data.qvel))
+            jnp.all(jnp.isfinite(data.qpos)) & jnp.all(abs(data.qvel) < MAX_SPEED)
             & jnp.all(jnp.isfinite(obs)) & jnp.isfinite(sum(rewards.values()))
         )  # fmt: skip
         rewards = {k: jnp.where(bad, 0.0, v) for k, v in rewards.items()}

@@ -359,6 +359,8 @@ def test_an_environment_that_breaks_ends_its_episode_and_recovers(
     sick, action = 3, rollout.actions[0]
     healthy = np.arange(BATCH) != sick
     data = rollout.first.data
+    exploded = rollout.first.replace(data=data.replace(qvel=data.qvel.at[sick, 5].set(1e6)))
+    np.testing.assert_array_equal(batch.step(exploded, action).metrics["nan"], ~healthy)
     broken = rollout.first.replace(data=data.replace(qpos=data.qpos.at[sick, 5].set(jnp.nan)))
     after, clean = batch.step(broken, action), batch.step(rollout.first, action)
     np.testing.assert_array_equal(after.done, ~healthy)

@@ -98,8 +98,9 @@ class LearnConfig:
     """Clipping range of the probability ratio, and of the value with clip_value_loss."""
     clip_value_loss: bool = False
     """Clip the change of the value prediction too, as Assistive Gym's trainer does."""
-    recompute_advantages: bool = True
-    """Estimate advantages and value targets anew before every pass over the data of an update."""
+    recompute_advantages: bool | None = None
+    """Estimate advantages and value targets anew before every pass over the data of an update. None: where an update
+    has at least 10,000 samples; a value function that knows fewer by heart would learn its own errors."""
     value_loss_coef: float = 0.5
     """Weight of the value loss (which itself carries another 0.5)."""
     entropy_coef: float = 0.0
@@ -250,6 +251,8 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
 
 NUM_ENVS = {"cpu": 64, "gpu": 1024, "tpu": 1024}
 """Environments by kind of device."""
+LEAST_RECOMPUTED = 10_000
+"""Samples of an update from which on its advantages are estimated anew before every pass."""
 LEAST_SAMPLES = 80
 """Of a mini-batch, when ``num_mini_batch`` would make smaller ones of a small batch."""
 
@@ -334,6 +337,8 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
             f"samples{each}, which do not divide into {config.num_mini_batch} mini-batches. Nearest "
             f"that does: --num-mini-batch {near}."
         )
+    if config.recompute_advantages is None:
+        config = dataclasses.replace(config, recompute_advantages=batch >= LEAST_RECOMPUTED)
     total = updates_in(config.num_env_steps, batch)
     log_interval = config.log_interval or max(1, round(total / 80))
     save_interval = config.save_interval or max(1, math.ceil(total / 10))

@@ -132,8 +132,8 @@ def test_environments_that_devices_cannot_share_get_a_suggestion():
 def test_automatic_settings_depend_on_the_machine():
     assert resolve(PPOConfig(), "cpu").num_envs == 64
     config = resolve(PPOConfig(), "gpu")
-    assert config.num_envs == 2048
-    lines = 10_000_000 / (2048 * config.num_steps * config.log_interval)
+    assert config.num_envs == 1024
+    lines = 10_000_000 / (1024 * config.num_steps * config.log_interval)
     assert 40 < lines < 160
     assert config.save_interval % config.log_interval == 0
 
@@ -157,3 +157,12 @@ def test_mini_batches_of_a_small_batch_are_not_too_small():
     on_cpu, on_gpu = resolve(config, "cpu"), resolve(config, "gpu")
     assert on_cpu.num_envs * on_cpu.num_steps // on_cpu.num_mini_batch == 80
     assert on_gpu.num_mini_batch == config.num_mini_batch == 32
+
+
+def test_advantages_are_estimated_anew_where_an_update_has_many_samples():
+    config = PPOConfig()
+    assert not resolve(config, "cpu").recompute_advantages
+    assert resolve(config, "gpu").recompute_advantages
+    for asked in (True, False):
+        asking = dataclasses.replace(config, recompute_advantages=asked)
+        assert {resolve(asking, x).recompute_advantages for x in ("cpu", "gpu")} == {asked}

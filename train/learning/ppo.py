@@ -1,7 +1,7 @@
 """PPO of one agent: its state, generalised advantage estimation, the loss, and one update from one rollout.
 
 Everything here is pure. An update makes ``ppo_epoch`` passes of mini-batch gradient steps; before each of them it
-estimates advantages and targets anew, with the values of then, so that what is known of a reward travels back by
+estimates advantages and targets anew if its batch is large, with the values of then, so that what is known of a reward travels back by
 more than one rollout per update (Andrychowicz et al. 2021, section 3.5). Where several devices share the environments (``axis``), each has a part of
 the batch; gradients and statistics are those of all of it.
 
@@ -83,7 +83,7 @@ class Hyper:
             "eps": config.eps,
             "reward_scaling": config.reward_scaling,
             "clip_value_loss": config.clip_value_loss,
-            "recompute_advantages": config.recompute_advantages,
+            "recompute_advantages": bool(config.recompute_advantages),
             "learns": 1.0,
         }
         return cls(**{name: np.float32(value) for name, value in values.items()})

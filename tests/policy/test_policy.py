@@ -138,8 +138,9 @@ def test_layouts_from_before_columns_were_renamed_are_known(name):
     assert layout_version(human) != former[1] and set(FORMER) == set(TASKS)
 
 
-def test_policies_from_before_columns_were_renamed_fit(static_env, active_env, tmp_path):
+def test_policies_from_before_columns_were_renamed_fit(tmp_path):
     """The pair that ships is of that time; so is a run's folder with person_policy.npz."""
+    static_env, active_env = (agym_jax.make(f"ScratchItchPR2{x}-v0") for x in ("", "Human"))
     pair = agym_jax.load_policy(active_env.name, active_env)
     files = asset_root() / "policies", asset_root() / "policies" / "human"
     robot, human = (folder / f"{active_env.name}.npz" for folder in files)

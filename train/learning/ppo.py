@@ -1,9 +1,10 @@
 """PPO of one agent: its state, generalised advantage estimation, the loss, and one update from one rollout.
 
-Everything here is pure. An update makes ``ppo_epoch`` passes of mini-batch gradient steps; before each of them it
-estimates advantages and targets anew if its batch is large, with the values of then, so that what is known of a reward travels back by
-more than one rollout per update (Andrychowicz et al. 2021, section 3.5). Where several devices share the environments (``axis``), each has a part of
-the batch; gradients and statistics are those of all of it.
+Everything here is pure. An update makes ``ppo_epoch`` passes of mini-batch gradient steps. Where its batch is large, it
+estimates advantages and targets anew before each of them, with the values of then, so that what is known of a
+reward travels back by more than one rollout per update (Andrychowicz et al. 2021, "What matters in on-policy
+reinforcement learning?"). Where several devices share the environments (``axis``), each has a part of the batch;
+gradients and statistics are those of all of it.
 
 DEVIATION(time-limit-bootstrap): Assistive Gym's trainer takes the time limit for a terminal state. Its episodes
 end by their time limit, which says nothing about what the state is worth, so a truncated step bootstraps here

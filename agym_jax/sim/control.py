@@ -21,9 +21,9 @@ from agym_jax.human import body, limits, muscles
 from agym_jax.human.population import Human
 from agym_jax.sim.index import Index
 from agym_jax.sim.landing import Landing, hold_early
-from agym_jax.sim.motors import Aim, InertiaBlock, Motors
+from agym_jax.sim.motors import Aim, Motors
 from agym_jax.sim.scene import Scene
-from agym_jax.spec import HumanSpec, Task
+from agym_jax.spec import Control, HumanSpec, Task
 from agym_jax.state import Episode
 
 ARM = ("shoulder_y", "shoulder_x", "shoulder_z", "elbow_x")
@@ -79,15 +79,11 @@ class Controller:
     spec: HumanSpec  # of the joints that are hinges in the scene
     active: bool  # whether the person acts
     motors: Motors  # of the robot
-    rate: float  # of the robot's motors [1/s]
-    max_torque: float  # of the robot's motors [N m]
     human_motors: Motors  # the person's muscles
-    action_scale: float  # of a full action [rad]
+    control: Control  # of the task
     robot_range: np.ndarray  # joint limits [rad]                             (n_arm, 2)
     arm_limits: limits.ArmLimits
     arms: tuple[tuple[np.ndarray, float], ...]  # rows of an arm's four joints, 1 right or -1 left
-    human_inertia: InertiaBlock  # of the person's joints
-    time_step: float = 0.0  # of the physics [s]
     at_joints: bool = False  # whether people have AG's masses, see ``muscles.as_bullet``
     landing: Landing | None = None  # of their arms on the bed
 
@@ -106,15 +102,11 @@ class Controller:
             spec=dataclasses.replace(task.human, joints=scene.moving),
             active=active,
             motors=Motors.of(scene.model, scene.index.robot_dof, task.control.time_step),
-            rate=task.control.rate,
-            max_torque=task.control.max_torque,
             human_motors=Motors.of(scene.model, scene.index.human_dof, task.control.time_step),
-            action_scale=task.control.action_scale,
+            control=task.control,
             robot_range=np.array(scene.model.jnt_range[scene.index.robot_joint], np.float32),
             arm_limits=limits.load_arm_limits(),
             arms=tuple(arms),
-            human_inertia=InertiaBlock.of(scene.model, scene.index.human_dof),
-            time_step=task.control.time_step,
             at_joints=at_joints,
             landing=Landing.of(scene.model, scene.index) if at_joints else None,
         )
@@ -151,7 +143,7 @@ class Controller:
         low, high = self.robot_range.T
         room = jnp.where(step > 0.0, high - q, q - low)
         fit = jnp.floor(room / jnp.where(step == 0.0, 1.0, abs(step)))
-        return q + step * jnp.clip(fit, 0.0, self.action_scale / INCREMENT)
+        return q + step * jnp.clip(fit, 0.0, self.control.action_scale / INCREMENT)
 
     def human_target(self, episode: Episode, q: Array, action: Array) -> tuple[Array, Array]:
         """What the muscles aim at in this control step, and what to remember of it.
@@ -169,7 +161,7 @@ class Controller:
         if self.active:
             low, high = body.joint_limits(self.spec.joints, episode.human.limit_scale).T
             start = jnp.where(trembles, target, q)
-            target = jnp.clip(start + self.action_scale * action, low, high)
+            target = jnp.clip(start + self.control.action_scale * action, low, high)
         sign = jnp.where(episode.step % 2 == 0, -1.0, 1.0)
         return target + sign * episode.human.tremor, target
 
@@ -180,7 +172,7 @@ class Controller:
 
     def aim(self, goal: Any) -> Aim:
         """What the robot's motors are to do to reach these angles [rad] (n_arm,)."""
-        return Aim(goal, self.rate, self.max_torque)
+        return Aim(goal, self.control.rate, self.control.max_torque)
 
     def limit_torque(self, q: Array, v: Array) -> Array:
         """Pose-dependent limits of the arms: a torque beside the muscles' [N m] (n_person,).
@@ -208,11 +200,11 @@ class Controller:
         """
         q, v = data.qpos[self.index.human_qpos], data.qvel[self.index.human_dof]
         if self.landing is not None:
-            mobility = xp.linalg.inv(self.human_inertia.read(matrix, xp))
-            after = self.landing.stop(v, mobility, model, data, self.time_step, xp)
-            q, v = q + self.time_step * (after - v), after
+            mobility = xp.linalg.inv(self.human_motors.inertia(matrix, xp))
+            after = self.landing.stop(v, mobility, model, data, self.motors.time_step, xp)
+            q, v = q + self.motors.time_step * (after - v), after
         limits = model.jnt_range[self.index.human_joint]
-        return muscles.as_bullet(q, v, limits, self.time_step, xp)
+        return muscles.as_bullet(q, v, limits, self.motors.time_step, xp)
 
     def within_limits(self, q: np.ndarray) -> bool:
         """Whether ``limit_torque`` is zero, and need not be computed; in NumPy, float32."""

@@ -100,9 +100,8 @@ class Landing:
         arms = point[:, None] - anchors
         jac = xp.cross(axes[None], arms) * self.moves[:, :, None]  # (n, n_person, 3)
         near = xp.where((distance < REACH) & (distance > -RESTING), 1.0, 0.0)
-        jac = (
-            xp.einsum("nij,nkj->nik", frame, jac) * near[:, None, None]
-        )  # rows: normal, two tangents
+        # rows: normal, two tangents
+        jac = xp.einsum("nij,nkj->nik", frame, jac) * near[:, None, None]
         rows = jac.reshape(-1, jac.shape[-1])
         allowed = -near * xp.maximum(distance, 0.0) / time_step
         wanted = xp.stack([allowed, 0.0 * allowed, 0.0 * allowed], axis=1)
@@ -121,9 +120,8 @@ class Landing:
         tip = centre + (self.end * length)[:, None] * along
         inside = xp.einsum("nji,nj->ni", turn, tip - place)
         face = xp.clip(inside, -self.half, self.half)
-        deep = (
-            xp.sum((inside - face) ** 2, axis=1) < 1e-12
-        )  # its centre is inside: the way out is up
+        # if its centre is inside, the way out is up
+        deep = xp.sum((inside - face) ** 2, axis=1) < 1e-12
         face = xp.where(
             deep[:, None], xp.stack([inside[:, 0], inside[:, 1], self.half[:, 2]], 1), face
         )
@@ -185,9 +183,8 @@ def _impulses(matrix: Any, slip: Any, friction: Any, xp: Any) -> Any:
     rate = xp.stack([rate[:, 0], *2 * [xp.minimum(rate[:, 1], rate[:, 2])]], axis=1)
 
     impulse = 0.0 * slip
-    for _ in range(
-        SWEEPS
-    ):  # no fori_loop: inside the scan over physics steps XLA's for CPUs gave other numbers
+    # no fori_loop: inside the scan over physics steps XLA's for CPUs gave other numbers
+    for _ in range(SWEEPS):
         moved = impulse - rate * (slip + (matrix @ impulse.reshape(-1)).reshape(n, 3))
         normal, side = xp.maximum(moved[:, :1], 0.0), moved[:, 1:]
         most = friction[:, None] * normal

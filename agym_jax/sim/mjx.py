@@ -21,7 +21,7 @@ from agym_jax.math3d import rotation_matrix
 from agym_jax.sense import Motion
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import model_fields, start_qpos
-from agym_jax.sim.motors import Aim
+from agym_jax.sim.motors import Aim, Drive
 from agym_jax.sim.scene import Scene
 from agym_jax.sim.sensing import (
     ContactSums,
@@ -115,32 +115,24 @@ class MjxPhysics:
         """One control step."""
         wait_for_kernels()
         index, model = self.scene.index, self.model_of(episode)
-        muscles, motors = self.controller.muscles(episode.human), self.controller.motors
+        muscles = self.controller.muscles(episode.human)
+        motors, human = self.controller.motors, self.controller.human_motors
         aim = self.controller.aim(targets.goal)
         pulls = Aim(targets.target, muscles.rate, muscles.bound, muscles.damping)
 
         def substep(carry: tuple[mjx.Data, ContactSums], _: None) -> tuple[tuple, PoseSample]:
             data, contacts = carry
-            inertia = data._impl.M
-            robot_dof, human_dof = index.robot_dof, index.human_dof
-            q, v = data.qpos[index.robot_qpos], data.qvel[robot_dof]
-            drive = motors.drive(motors.inertia(inertia), data.qfrc_bias[robot_dof], q, v, aim)
-            torque = data.qfrc_applied.at[robot_dof].set(drive.torque)
-            velocity = data.qvel.at[robot_dof].set(drive.velocity)
-            guess = data.qacc_warmstart.at[robot_dof].set(drive.guess)
-            solref = model.dof_solref.at[robot_dof].set(drive.solref)
-            if len(human_dof):
-                q, v = data.qpos[index.human_qpos], data.qvel[human_dof]
-                load = data.qfrc_bias[human_dof]
+            inertia, solref = data._impl.M, model.dof_solref
+            q, v = data.qpos[index.robot_qpos], data.qvel[index.robot_dof]
+            load = data.qfrc_bias[index.robot_dof]
+            drive = motors.drive(motors.inertia(inertia), load, q, v, aim)
+            data, solref = _write(data, solref, index.robot_dof, drive)
+            if len(index.human_dof):
+                q, v = data.qpos[index.human_qpos], data.qvel[index.human_dof]
+                load = data.qfrc_bias[index.human_dof]
                 besides = muscles.passive * load + self.controller.limit_torque(q, v)
-                pull = self.controller.human_motors.drive(
-                    self.controller.human_motors.inertia(inertia), load - besides, q, v, pulls
-                )
-                torque = torque.at[human_dof].set(besides + pull.torque)
-                velocity = velocity.at[human_dof].set(pull.velocity)
-                guess = guess.at[human_dof].set(pull.guess)
-                solref = solref.at[human_dof].set(pull.solref)
-            data = data.replace(qfrc_applied=torque, qvel=velocity, qacc_warmstart=guess)
+                pull = human.drive(human.inertia(inertia), load - besides, q, v, pulls)
+                data, solref = _write(data, solref, index.human_dof, pull, besides)
             data = mjx.step(model.replace(dof_solref=solref), data)
             forces = (data.qfrc_smooth, data.qfrc_constraint, data.qacc)
             bias = motors.bias(drive, *(x[index.robot_dof] for x in forces))
@@ -172,6 +164,26 @@ class MjxPhysics:
         """The model with this episode's person and robot base in it."""
         muscles = self.controller.muscles(episode.human)
         return self.model.tree_replace(model_fields(self.scene, self.model, episode, muscles))
+
+
+def _write(
+    data: mjx.Data, solref: Array, dofs: np.ndarray, drive: Drive, besides: Array | float = 0.0
+) -> tuple[mjx.Data, Array]:
+    """Data and ``dof_solref`` in which motors drive these joints in the next physics step.
+
+    Args:
+        data: of the environment.
+        solref: of all joints (nv, 2).
+        dofs: of the joints that are driven.
+        drive: what their motors do.
+        besides: torque on them that is no motor's [N m] (n,).
+    """
+    data = data.replace(
+        qfrc_applied=data.qfrc_applied.at[dofs].set(besides + drive.torque),
+        qvel=data.qvel.at[dofs].set(drive.velocity),
+        qacc_warmstart=data.qacc_warmstart.at[dofs].set(drive.guess),
+    )
+    return data, solref.at[dofs].set(drive.solref)
 
 
 def put_model(model: mujoco.MjModel, impl: str) -> Any:

@@ -68,7 +68,7 @@ def test_jax_lands_as_numpy_does():
     data.qpos[index.human_qpos] = traces("limp_arm")["male_bed_start"][1]
     for _ in range(30):
         mujoco.mj_step(model, data)
-        mobility = np.linalg.inv(arm.controller.human_inertia.read(data.M, np))
+        mobility = np.linalg.inv(arm.controller.human_motors.inertia(data.M, np))
         v = data.qvel[index.human_dof].copy()
         ours = landing.stop(v, mobility, model, data, 0.02, np)
         there = SimpleNamespace(**{f: jnp.asarray(getattr(data, f)) for f in FIELDS})

@@ -8,15 +8,17 @@ If none opens, it warns which system package is missing and uses the ray caster.
 from __future__ import annotations
 
 import contextlib
+import copy
 import ctypes
 import importlib
+import math
 import os
 import platform
 import sys
 import warnings
 import weakref
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
@@ -39,6 +41,11 @@ INSTALL_GL = (
     "on Debian or Ubuntu: apt-get install libegl1 libopengl0 libgl1-mesa-dri "
     "(or libosmesa6 where EGL is not available)"
 )
+
+
+FULL_SIZE = 640
+"""Longest side of a picture from which on everything is drawn as finely as the model says [pixels]."""
+MIN_SHADOW_SIZE, MIN_SAMPLES, MIN_SLICES, MIN_STACKS = 256, 4, 12, 8
 
 
 class UnknownCameraError(UnknownNameError):
@@ -151,13 +158,63 @@ def _open_context(width: int, height: int) -> tuple[Any, str]:
     raise RenderBackendError("; ".join(reasons) or "MUJOCO_GL disables it")
 
 
+class Quality(NamedTuple):
+    """How finely OpenGL draws; names and meaning are those of ``MjModel.vis.quality``."""
+
+    shadowsize: int
+    """Side of the shadow map [pixels]."""
+    offsamples: int
+    """Samples of a pixel."""
+    numslices: int
+    """Around a round geom."""
+    numstacks: int
+    """Along a round geom."""
+
+
+def quality_for(full: Quality, width: int, height: int) -> Quality:
+    """As fine as a picture can show: on a CPU, a finer one costs as much as a large picture.
+
+    The shadow map and the samples shrink with the picture's longest side. A circle of n slices is off by
+    1 / n^2 of its radius, so slices and stacks shrink with the root.
+
+    Args:
+        full: of pictures of ``FULL_SIZE`` and more; no picture gets more than that.
+        width: of the picture [pixels].
+        height: of the picture [pixels].
+    """
+    share = min(1.0, max(width, height) / FULL_SIZE)
+    return Quality(
+        min(full.shadowsize, max(MIN_SHADOW_SIZE, _power_of_two(share * full.shadowsize))),
+        min(full.offsamples, max(MIN_SAMPLES, _power_of_two(share * full.offsamples))),
+        min(full.numslices, max(MIN_SLICES, math.ceil(share**0.5 * full.numslices))),
+        min(full.numstacks, max(MIN_STACKS, math.ceil(share**0.5 * full.numstacks))),
+    )
+
+
+def _power_of_two(at_least: float) -> int:
+    return 1 << max(0, math.ceil(at_least) - 1).bit_length()
+
+
+def _with_quality(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
+    """The model, or a copy of it that is drawn as finely as the picture can show."""
+    full = Quality(*(getattr(model.vis.quality, name) for name in Quality._fields))
+    wanted = quality_for(full, width, height)
+    if wanted == full:
+        return model
+    model = copy.copy(model)
+    for name, value in wanted._asdict().items():
+        setattr(model.vis.quality, name, value)
+    return model
+
+
 class _GLBackend:
     """OpenGL through MuJoCo's classic renderer."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int):
         self._gl, self.library = _open_context(width, height)
         try:
-            self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            fitting = _with_quality(model, width, height)
+            self._context = mujoco.MjrContext(fitting, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:
             _Process.gl_failed = f"{self.library}: {error}"
             self._gl.free()

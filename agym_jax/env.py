@@ -32,6 +32,7 @@ from agym_jax import observe
 from agym_jax.data.banks import load_bank
 from agym_jax.errors import SpecError, WrapperError
 from agym_jax.human.population import Population
+from agym_jax.human.regions import comfort_limits, no_forces
 from agym_jax.jax_settings import full_precision
 from agym_jax.math3d import first_sign, nearest_sign
 from agym_jax.rendering.raycast import Marker
@@ -48,10 +49,12 @@ from agym_jax.state import Episode, State, select, strong
 MAX_SPEED = 1e3
 """Of a joint [rad/s]: a simulation in which one is faster has exploded, and counts as NaN. Bullet stops at 100."""
 METRICS = (
-    "force/on_human", "force/tool_on_human", "force/robot_on_human", "force/tool", "success", "nan",
-    "overflow",
+    "force/on_human", "force/tool_on_human", "force/robot_on_human", "force/tool",
+    "force/peak_on_human", "force/of_comfort", "force/of_limit", "success", "nan", "overflow",
 )  # fmt: skip
-"""Metrics of every environment, besides the reward's terms."""
+"""Metrics of every environment, besides the reward's terms. Forces are means over a control step [N]; ``peak_on_human``
+is the largest on one region of the body in a physics step [N], ``of_comfort`` and ``of_limit`` are the shares of limits
+of ``human.regions`` that are reached, above 1 where one is exceeded."""
 
 
 class AssistiveEnv:
@@ -77,6 +80,7 @@ class AssistiveEnv:
         num_envs: int = 1,
     ):
         self.task, self.robot, self.active = task, robot, active
+        self.comfort = comfort_limits(task)
         self.humans = humans or Population()
         self.impl = choose_impl(impl)
         self.num_envs = num_envs
@@ -255,6 +259,7 @@ class AssistiveEnv:
             "reward": jnp.asarray(sum(rewards.values())),
             "done": ((step >= self.episode_length) | bad).astype(jnp.float32),
             "metrics": self._metrics(task, rewards, sensed, data, bad),
+            "regions": jax.tree.map(lambda x: jnp.where(bad, 0.0, x), sensed.regions),
         }
         return strong((after, step))
 
@@ -283,7 +288,8 @@ class AssistiveEnv:
         zero = jnp.float32(0.0)
         metrics = dict.fromkeys(self.metric_names, zero) | {"success": success}
         return State(
-            data=data, reward=zero, done=zero, metrics=metrics, info={}, episode=episode, key=key, **seen
+            data=data, reward=zero, done=zero, metrics=metrics, info={}, episode=episode, key=key,
+            regions=no_forces(), **seen
         )  # fmt: skip
 
     def _sample_episode(self, rng: Array) -> tuple[EpisodeSample, Array, Array]:
@@ -339,6 +345,9 @@ class AssistiveEnv:
             clean(sensed.tool_on_human),
             clean(sensed.robot_on_human),
             clean(sum(t.force for t in sensed.tools)),
+            clean(jnp.max(sensed.regions.peak)),
+            clean(sensed.regions.of_comfort(self.comfort)),
+            clean(sensed.regions.of_limit()),
             clean(self.task.success(task)),
             bad.astype(jnp.float32),
             self.physics.overflow(data),

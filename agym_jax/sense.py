@@ -7,6 +7,7 @@ averaged over the physics steps of a control step.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -57,6 +58,7 @@ class Sensed:
     link_quat_w: dict[str, Array]  # link -> the same, wxyz                 (4,)
     dims: Dims  # sizes of the person
     motion: Motion  # during the control step
+    regions: Any = None  # human.regions.RegionForces on the person; None if made by hand
 
     @property
     def tool(self) -> ToolSensed:

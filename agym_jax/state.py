@@ -76,6 +76,7 @@ class State:
     key: jax.Array
     privileged_obs: Any = None  # for value functions, else unseen; may be None (n_privileged,)
     quats: Any = None  # as last observed, wxyz, see ``sense.quats_of``          (n, 4)
+    regions: Any = None  # forces on the person's body, see ``human.regions.RegionForces``
 
     def replace(self, **changes: Any) -> State:
         """A copy with some fields changed; ``pipeline_state`` stands for all that it has."""

@@ -115,16 +115,20 @@ def crossplay(
 
 
 def table(matrix: Matrix) -> str:
-    """Success and mean return of all pairs; rows are robots, columns people."""
+    """Success, gentle success and mean return of all pairs; rows are robots, columns people."""
     robots, humans = (list(dict.fromkeys(key[i] for key in matrix)) for i in (0, 1))
     lines = [f"  R{i:<3}{name}" for i, name in enumerate(robots, 1)]
     lines += [f"  P{i:<3}{name}" for i, name in enumerate(humans, 1)]
-    lines.append("success, and return, of a robot (row) with a person (column):")
-    lines.append("    " + "".join(f"{f'P{i}':>18}" for i in range(1, len(humans) + 1)))
+    measured = all(cell.gentle_success is not None for cell in matrix.values())
+    told, width = ("success, gentle success,", 25) if measured else ("success,", 18)
+    lines.append(f"{told} and return, of a robot (row) with a person (column):")
+    lines.append("    " + "".join(f"{f'P{i}':>{width}}" for i in range(1, len(humans) + 1)))
     for i, robot in enumerate(robots, 1):
         cells = [matrix[robot, human] for human in humans]
-        shown = [f"{cell.success:.1%} {cell.returns.mean():9.1f}" for cell in cells]
-        lines.append(f"R{i:<3}" + "".join(f"{text:>18}" for text in shown))
+        shares = [(c.success, c.gentle_success) if measured else (c.success,) for c in cells]
+        shown = [" ".join(f"{x:6.1%}" for x in share) for share in shares]
+        shown = [f"{x} {c.returns.mean():9.1f}" for x, c in zip(shown, cells, strict=True)]
+        lines.append(f"R{i:<3}" + "".join(f"{text:>{width}}" for text in shown))
     return "\n".join(lines)
 
 

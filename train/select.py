@@ -35,6 +35,12 @@ from .evaluation.score import EvaluationResult
 from .evaluation.seed_scores import SeedScores, score_seeds
 from .runs.record import append_record, record
 
+CHOSEN = (
+    "success", "success_low", "success_high", "return_mean", "return_std", "force_mean",
+    "gentle_success", "peak_median", "peak_99",
+)  # fmt: skip
+"""Of the summary of the chosen policy, that its line tells; the last where the environment measures them."""
+
 
 @dataclass(frozen=True)
 class SelectConfig:
@@ -163,9 +169,8 @@ def main(
             chosen_over=config.seed,
             reported_over=config.report_seed,
             impl=str(getattr(env, "impl", config.impl)),
-            **{f"chosen_{name}": summary[name] for name in (
-                "success", "success_low", "success_high", "return_mean", "return_std", "force_mean")},
-        )  # fmt: skip
+            **{f"chosen_{name}": summary[name] for name in CHOSEN if name in summary},
+        )
         append_record(config.json, line)
     return 0
 

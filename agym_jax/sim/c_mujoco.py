@@ -34,6 +34,7 @@ from agym_jax.sim.sensing import (
     no_contacts,
     read_contacts,
     sample_poses,
+    total_contacts,
 )
 from agym_jax.state import Episode
 
@@ -205,9 +206,7 @@ class NativePhysics:
             samples.append(sample_poses(index, d, np))
             motion = motion_of(index, jax.tree.map(lambda *x: np.stack(x), *samples), np)
             motion = jax.tree.map(lambda x: x.astype(np.float32), motion)
-            sums = jax.tree.map(
-                lambda x: x.sum(axis=0), read_contacts(index, np.stack(sensors), np)
-            )
+            sums = total_contacts(read_contacts(index, np.stack(sensors), np))
             return NativeData.of(d, self._layout), sums, motion
 
     def _pull(self, d: mujoco.MjData, target: np.ndarray) -> None:

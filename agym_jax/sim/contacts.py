@@ -17,6 +17,7 @@ with Bullet's law on our smooth bed it does not. Of the person's links, upper ar
 from __future__ import annotations
 
 from agym_jax.human import body
+from agym_jax.human.regions import REGION_OF
 from agym_jax.spec import Arm, RobotSpec, Task
 
 SELF_CONTACTS = (
@@ -104,6 +105,12 @@ def touch_rows(task: Task, pairs: list[tuple[str, str]]) -> tuple[list[int], lis
             working.append(name in works)
         rows.append(seen[key])
     return rows, working
+
+
+def touched_regions(pairs: dict[str, list[tuple[str, str]]]) -> list[int]:
+    """Rows of ``human.regions.REGIONS``: what each pair of ``contact_pairs`` with the person touches, in order."""
+    kinds = [kind for kind in pairs if is_sensed(kind) and kind.endswith("human")]
+    return [REGION_OF[limb.removeprefix("human/")] for kind in kinds for _, limb in pairs[kind]]
 
 
 def pair_friction(kind: str, task: Task, robot: RobotSpec) -> float:

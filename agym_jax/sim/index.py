@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +21,7 @@ class ToolIndex:
     # sensordata addresses of contact sensors, Index.TOUCH numbers each
     on_human: np.ndarray  # against the person                                 (n_pairs,)
     contact: np.ndarray  # which contact of a part and a limb they belong to    (n_pairs,)
-    working: np.ndarray  # whether the working part makes that, float           (n_touch,)
+    working: np.ndarray  # whether the working part makes that, float           (n_contacts,)
     on_seat: np.ndarray  # against furniture                                    (n,)
 
 
@@ -39,6 +40,7 @@ class Index:
     torso_site: int  # the robot's reference point
     tools: tuple[ToolIndex, ...]  # one for each arm
     robot_human: np.ndarray  # sensors: robot links against the person       (n,)
+    touch_region: np.ndarray  # of ``touch``, rows of human.regions.REGIONS  (n_touch,)
     human_joint: np.ndarray  # joint ids of the moving joints                (n_person,)
     human_qpos: np.ndarray  # qpos addresses                                 (n_person,)
     human_dof: np.ndarray  # dof addresses                                   (n_person,)
@@ -47,5 +49,10 @@ class Index:
     shape_row: np.ndarray  # rows of human.body.SHAPES                       (n_shapes,)
     human_body: np.ndarray  # body ids                                       (n_links,)
     human_geom: np.ndarray  # collision geom ids: capsules and spheres       (n_shapes,)
+
+    @cached_property
+    def touch(self) -> np.ndarray:
+        """Sensors of tools and robot links against the person (n_touch,)."""
+        return np.concatenate([*(tool.on_human for tool in self.tools), self.robot_human])
 
     TOUCH = 6  # numbers of a contact sensor: force [N] (3), position [m] (3)

@@ -37,6 +37,7 @@ from agym_jax.sim.contacts import (
     pair_rolling,
     tool_prefixes,
     touch_rows,
+    touched_regions,
 )
 from agym_jax.sim.index import Index, ToolIndex
 from agym_jax.sim.motors import add_motors, stiffen_motors
@@ -293,9 +294,8 @@ def _hold(spec: mujoco.MjSpec, arm: Arm, robot: RobotSpec, tool: ToolSpec, prefi
 def _add_contacts(
     spec: mujoco.MjSpec, task: Task, robot: RobotSpec, touches: dict[str, list[tuple[str, str]]]
 ) -> None:
-    bits = (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)) | (
-        1 << int(mujoco.mjtConDataField.mjCONDATA_POS)
-    )
+    data = mujoco.mjtConDataField
+    bits = 1 << int(data.mjCONDATA_FORCE) | 1 << int(data.mjCONDATA_POS)
     for kind, pairs in touches.items():
         friction = pair_friction(kind, task, robot)
         for a, b in pairs:
@@ -367,7 +367,6 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[st
     robot_joint = ids(o.mjOBJ_JOINT, [f"robot/{n}" for arm in arms for n in arm.joints])
     human_joint = ids(o.mjOBJ_JOINT, [f"human/{n}" for n in moving])
     lean = lean_links(task, moving)
-    links = [f"human/{name}" for name in lean]
     torso = int(ids(o.mjOBJ_SITE, [f"robot/{robot.torso}"])[0])
     return Index(
         robot_joint=robot_joint,
@@ -377,13 +376,14 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[st
         torso_site=torso,
         tools=tuple(tool_index(i, arm) for i, arm in enumerate(arms)),
         robot_human=sensors["robot_human"],
+        touch_region=np.array(touched_regions(pairs), np.int32),
         human_joint=human_joint,
         human_qpos=model.jnt_qposadr[human_joint],
         human_dof=model.jnt_dofadr[human_joint],
         links=lean,
         human_row=np.array([i for i, x in enumerate(body.LINKS) if x.name in lean], np.int32),
         shape_row=np.array([i for i, x in enumerate(body.SHAPES.values()) if x in lean], np.int32),
-        human_body=ids(o.mjOBJ_BODY, links),
+        human_body=ids(o.mjOBJ_BODY, [f"human/{name}" for name in lean]),
         human_geom=ids(
             o.mjOBJ_GEOM, [f"human/{x}" for x, link in body.SHAPES.items() if link in lean]
         ),

@@ -4,12 +4,12 @@ Works on one environment of ``mjx.Data`` and, because the field names are the sa
 or C ``MjData``.
 
 DEVIATION(force-mean): contact forces are means over the physics steps of a control step, not
-the last one's value: a single step's is noisy.
+the last one's value: a single step's is noisy. Peaks are told besides, see ``human.regions``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +18,7 @@ import numpy as np
 from jax import Array
 
 from agym_jax.human.anthropometry import Dims
+from agym_jax.human.regions import REGIONS, RegionForces
 from agym_jax.math3d import capsule_gap, child_quat
 from agym_jax.sense import Motion, Sensed, ToolSensed
 from agym_jax.sim.index import Index, ToolIndex
@@ -40,6 +41,8 @@ class ContactSums:
 
     tools: tuple[ToolContactSums, ...]
     robot_human: Array  # [N]                                               ()
+    regions: Array  # of all on each region of the person [N]               (n_regions,)
+    peaks: Array  # no sum: the largest of a physics step [N]               (n_regions,)
 
 
 class PoseSample(NamedTuple):
@@ -56,7 +59,7 @@ def no_contacts(index: Index) -> ContactSums:
     zero = jnp.float32(0.0)
     counts = [len(t.on_human) for t in index.tools]
     sums = tuple(ToolContactSums(jnp.zeros(n), jnp.zeros((n, 3)), zero) for n in counts)
-    return ContactSums(sums, zero)
+    return ContactSums(sums, zero, jnp.zeros(len(REGIONS)), jnp.zeros(len(REGIONS)))
 
 
 def add_contacts(index: Index, sums: ContactSums, sensordata: Array) -> ContactSums:
@@ -67,7 +70,19 @@ def add_contacts(index: Index, sums: ContactSums, sensordata: Array) -> ContactS
         sums: so far.
         sensordata: of ``Data`` (nsensordata,).
     """
-    return jax.tree.map(jnp.add, sums, read_contacts(index, sensordata))
+    new = read_contacts(index, sensordata)
+    total = jax.tree.map(jnp.add, sums, new)
+    return replace(total, peaks=jnp.maximum(sums.peaks, new.peaks))
+
+
+def total_contacts(readings: ContactSums) -> ContactSums:
+    """The sums that readings of all physics steps make, NumPy.
+
+    Args:
+        readings: from ``read_contacts``, with a leading axis of physics steps.
+    """
+    total = jax.tree.map(lambda x: x.sum(axis=0), readings)
+    return replace(total, peaks=readings.peaks.max(axis=0))
 
 
 def read_contacts(index: Index, sensordata: Any, xp: Any = jnp) -> ContactSums:
@@ -90,7 +105,12 @@ def read_contacts(index: Index, sensordata: Any, xp: Any = jnp) -> ContactSums:
         pos = sensordata[..., tool.on_human[:, None] + np.arange(3, 6)]
         return ToolContactSums(force, force[..., None] * pos, total(tool.on_seat))
 
-    return ContactSums(tuple(read(tool) for tool in index.tools), total(index.robot_human))
+    belongs = np.eye(len(REGIONS), dtype=np.float32)[index.touch_region]
+    # a masked sum and no matrix product: it is fused with what is around it
+    touch = xp.abs(sensordata[..., index.touch])
+    regions = xp.sum(touch[..., None] * belongs, axis=-2)
+    tools = tuple(read(tool) for tool in index.tools)
+    return ContactSums(tools, total(index.robot_human), regions, regions)
 
 
 def sample_poses(index: Index, data: Any, xp: Any = jnp) -> PoseSample:
@@ -162,6 +182,7 @@ def sense(
         link_quat_w={name: jnp.asarray(data.xquat)[b] for name, b in bodies.items()},
         dims=dims,
         motion=motion,
+        regions=RegionForces(contacts.regions / n_steps, contacts.peaks),
     )
 
 

@@ -12,6 +12,7 @@ import mujoco
 
 from agym_jax.errors import SpecError, UnknownNameError, did_you_mean
 from agym_jax.human import body, population
+from agym_jax.human.regions import comfort_limits
 from agym_jax.spec import Arm, Goal, PassiveMode, Prepared, RobotSpec, SeatSpec, Task, ToolSpec
 
 COLLISION = "collision"
@@ -23,7 +24,7 @@ def check_task(task: Task) -> None:
     """The task's own names, those of its person, and what it makes of its data.
 
     Raises:
-        UnknownNameError: there is no such joint, link, impairment or way to be still.
+        UnknownNameError: there is no such joint, link, region, impairment or way to be still.
         SpecError: a field is empty, a text instead of a tuple, or of another length than it should be.
         AgymError: what ``Prepared.prepare`` of the task raises.
     """
@@ -49,6 +50,7 @@ def check_task(task: Task) -> None:
         f"{owner}.passive_mode", "passive mode", (human.passive_mode,), get_args(PassiveMode)
     )
     _check_names(f"{owner}.arm", "side", (human.arm,), ("left", "right"))
+    comfort_limits(task)
     if isinstance(task, Prepared):
         task.prepare()
 

@@ -128,6 +128,10 @@ class ArmManipulation:
         passive_mode="limp",
     )  # fmt: skip
     episode_length: int = 200
+    # an estimate: forearm, hand and half of the upper arm weigh 32 N, and as much may go into moving and stopping them
+    comfort: tuple[tuple[str, float], ...] = tuple(
+        (name, 60.0) for name in ("upper arm", "forearm", "hand")
+    )
     reward_terms: tuple[str, ...] = (
         "distance_human", "distance_tools", "action", *PREFERENCE_TERMS, "preference_high_pressures",
     )  # fmt: skip

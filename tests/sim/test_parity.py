@@ -201,7 +201,7 @@ def test_pressing_on_an_arm_is_c_mujocos(batch: CompiledBatch):
     goals = press_goals(batch, state)
     scale = env.task.control.action_scale
     shadows = {i: _Shadow(env.env, one(state.episode, i)) for i in WATCHED}
-    worst = {"qpos": 0.0, "qvel": 0.0, "force": 0.0}
+    worst = {"qpos": 0.0, "qvel": 0.0, "force": 0.0, "peak": 0.0}
     compared, hardest = 0, 0.0
     for t in range(APPROACH + PRESS):
         before = state
@@ -213,19 +213,25 @@ def test_pressing_on_an_arm_is_c_mujocos(batch: CompiledBatch):
         for i, shadow in shadows.items():
             touch, contacts = shadow.step(one(before, i), action[i])
             assert contacts <= 8  # scene.MAX_CONTACTS: MJX would leave some out
-            c, mine = shadow.data, one(state.data, i)
+            c, mine, seen = shadow.data, one(state.data, i), one(state.regions, i)
             assert np.abs(c.qvel).max() > 0
             force = float(jnp.sum(touch.tools[0].force) + touch.robot_human) / 5
             theirs = float(state.metrics["force/on_human"][i])
             worst["qpos"] = max(worst["qpos"], np.abs(c.qpos - mine.qpos).max())
             worst["qvel"] = max(worst["qvel"], np.abs(c.qvel - mine.qvel).max())
             worst["force"] = max(worst["force"], abs(force - theirs) / max(1.0, force))
+            # of each region of the body
+            for a, b in ((touch.peaks, seen.peak), (touch.regions / 5, seen.mean)):
+                apart = np.abs(np.asarray(a) - b) / np.maximum(1.0, a)
+                worst["peak"] = max(worst["peak"], apart.max())
+            np.testing.assert_allclose(seen.mean.sum(), theirs, rtol=1e-4, atol=1e-5)
+            assert state.metrics["force/peak_on_human"][i] == seen.peak.max()
             hardest = max(hardest, force)
             compared += theirs > 0.05
     assert compared > 0.5 * PRESS * len(WATCHED) and hardest > 0.5  # it was about contact
     assert worst["qpos"] < QPOS, worst
     assert worst["qvel"] < QVEL, worst
-    assert worst["force"] < FORCE, worst
+    assert worst["force"] < FORCE and worst["peak"] < FORCE, worst
 
 
 @pytest.mark.jit

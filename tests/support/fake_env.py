@@ -41,6 +41,7 @@ class FakeState:
     info: dict[str, Any]
     key: jax.Array
     privileged_obs: Any = None
+    regions: Any = None
 
     def replace(self, **changes: Any) -> FakeState:
         """A copy with some fields changed."""

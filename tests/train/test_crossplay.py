@@ -23,6 +23,8 @@ from train.configs import CoopConfig, PPOConfig
 from train.crossplay import STILL
 from train.errors import ActiveHumanError, ConfigError
 from train.evaluate import Evaluator
+from train.evaluation.gentleness import Gentleness
+from train.evaluation.score import EvaluationResult
 from train.learning.agents import Agents
 from train.runs.folder import RunFolder
 
@@ -154,6 +156,16 @@ def test_a_matrix_needs_people_who_act(capsys):
     assert crossplay.main(f"--env-name {STILL_NAME} --robots zero".split(), make) == 2
     said = capsys.readouterr().err
     assert said.startswith(ActiveHumanError.__name__) and f"Both act in '{NAME}'" in said
+
+
+def test_the_table_tells_gentle_success_where_it_is_measured():
+    length = np.full(4, 20.0)
+    done, over = np.array([True, True, True, False]), np.array([0.0, 3.0, 0.0, 0.0])
+    gentleness = Gentleness(np.full(4, 30.0), over, np.zeros(4), length)
+    plain = EvaluationResult(NAME, np.full(4, 2.0), np.ones(4), done, np.zeros(4, bool), 0, 1.0)
+    told = crossplay.table({("a", "b"): dataclasses.replace(plain, gentleness=gentleness)})
+    assert "success, gentle success, and return" in told and " 75.0%  50.0%       2.0" in told
+    assert "success, and return" in crossplay.table({("a", "b"): plain})
 
 
 def loaded(name, load_dir=None, policy=None, human=None, env=None):

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from fake_env import FakeEnv
+from fake_press_env import HARDEST, FakePressEnv
 
 from agym_jax.policy import Policy, baseline_policy, save_policy
 from train import enjoy, evaluate
@@ -105,6 +106,58 @@ def test_only_the_first_episode_of_an_environment_counts_and_nan_is_seen():
     assert found.nan.all() and found.summary()["nan_episodes"] == 5
     assert not found.successes.any() and found.returns.min() > -4 * 3
     assert "episodes that went NaN          5" in found.table()
+
+
+def pressing(*newtons):
+    """A policy that presses with these forces in the environments of a batch, as the step's number says."""
+    rows = np.array(newtons, np.float32) / HARDEST * 2 - 1
+
+    def act(obs, key, deterministic=True):
+        return jnp.repeat(jnp.asarray(rows)[:, None], 2, 1)
+
+    return act
+
+
+def test_a_gentle_success_never_exceeds_the_comfort_limit():
+    # success needs 5 N; 20 N are comfortable: too little, gentle, just gentle, too much
+    found = evaluate.evaluate(FakePressEnv(), pressing(2.0, 10.0, 20.0, 30.0), 4, 0)
+    assert found.successes.tolist() == [False, True, True, True]
+    assert found.gentle_successes.tolist() == [False, True, True, False]
+    assert (found.success, found.gentle_success) == (0.75, 0.5)
+    gentle = found.gentleness
+    np.testing.assert_allclose(gentle.peaks, [2, 10, 20, 30], rtol=1e-5)
+    assert gentle.over_comfort.tolist() == [0, 0, 0, 20] and gentle.share_over_comfort == 0.25
+    assert gentle.share_over_limit == 0.0 and gentle.worst_region == "forearm"
+    line = found.summary()
+    assert line["gentle_success"] == 0.5 and line["gentle_success_low"] < 0.5
+    assert line["peak_median"] == pytest.approx(15.0, rel=1e-4) and line["peak_99"] > 29.0
+    assert line["region_over_comfort"] == {"forearm": 0.25} and line["worst_region"] == "forearm"
+    assert json.loads(json.dumps(line)) == line
+    text = found.table()
+    assert "gentle success              50.0%" in text and "peak force [N]" in text
+    assert "above 20 N in 25.0% of the episodes" in text
+
+
+def test_one_step_above_the_limit_is_enough_and_what_comes_after_the_episode_is_not():
+    class Once(FakePressEnv):
+        """Presses hard in one step only; episodes of some environments are over before."""
+
+        def step(self, state, action):
+            hard = jnp.where(state.time == 7, 1.0, -0.5)
+            return super().step(state, jnp.full(2, hard))
+
+    found = evaluate.evaluate(Once(), "zero", 3, 0)
+    assert found.successes.all() and not found.gentle_successes.any()
+    assert found.gentleness.over_comfort.tolist() == [1, 1, 1]
+    found = evaluate.evaluate(Once(nan_at=5), "zero", 3, 0)  # begun anew, it would press in step 7
+    assert found.nan.all() and not found.gentleness.over_comfort.any()
+    np.testing.assert_allclose(found.gentleness.peaks, 10.0)
+
+
+def test_an_environment_that_measures_no_limits_is_told_as_before(policy):
+    found = evaluate.evaluate(FakeEnv(), policy, 3, 0)
+    assert found.gentle_success is None and "gentle" not in found.table()
+    assert not {"gentle_success", "peak_99"} & found.summary().keys()
 
 
 def test_policies_of_one_architecture_share_a_compilation(policy):

@@ -67,7 +67,7 @@ def run_episodes(
     first = venv.reset(key_reset)
     if watch:
         watch(first)
-    start = (first, jnp.ones(venv.num_envs, jnp.float32), zero_sums(venv.num_envs))
+    start = (first, jnp.ones(venv.num_envs, jnp.float32), zero_sums(first, venv.num_envs))
     (_, _, sums), _ = execution.scan(step, start, jax.random.split(key_steps, episode_length))
     return sums
 
@@ -114,7 +114,7 @@ class Evaluator:
         else:
             run = self._run_policy if isinstance(policy, TREES) else self._run_function
             sums = jax.device_get(run(policy=policy, key=key, deterministic=deterministic))
-        return result_of(self.env.name, sums, time.perf_counter() - start)
+        return result_of(self.env, sums, time.perf_counter() - start)
 
     def _run(self, policy: Any, key: jax.Array, deterministic: bool) -> dict[str, jax.Array]:
         act = lambda obs, key: policy(obs, key, deterministic)  # noqa: E731

@@ -12,6 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..learning.rollout import FORCE_KEY
+from .gentleness import (
+    MAXIMA,
+    Gentleness,
+    gentleness_gains,
+    gentleness_of,
+    zero_gentleness,
+)
 
 
 def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
@@ -45,6 +52,7 @@ class EvaluationResult:
         nan: whether it ended because the physics went non-finite.
         overflow: steps in which the physics lost contacts, all episodes.
         seconds: time of the rollout, compiling included.
+        gentleness: peaks of that force, and steps above limits; None where the environment does not measure them.
     """
 
     env: str
@@ -54,6 +62,7 @@ class EvaluationResult:
     nan: np.ndarray
     overflow: int
     seconds: float
+    gentleness: Gentleness | None = None
 
     @property
     def episodes(self) -> int:
@@ -70,6 +79,16 @@ class EvaluationResult:
         """Its 95 % Wilson interval."""
         return wilson_interval(int(np.sum(self.successes)), self.episodes)
 
+    @property
+    def gentle_successes(self) -> np.ndarray | None:
+        """Whether the task was done and no step above the comfort limit (episodes,)."""
+        return None if self.gentleness is None else self.successes & self.gentleness.kept
+
+    @property
+    def gentle_success(self) -> float | None:
+        """Share of episodes that succeeded gently; None where that is not measured."""
+        return None if self.gentle_successes is None else float(np.mean(self.gentle_successes))
+
     def table(self) -> str:
         """The result for people."""
         low, high = self.success_interval
@@ -77,8 +96,13 @@ class EvaluationResult:
             ("return", f"{self.returns.mean():9.2f} ± {self.returns.std():.2f}"),
             ("force on the person [N]", f"{self.forces.mean():9.2f} ± {self.forces.std():.2f}"),
             ("success", f"{self.success:9.1%}   95 % interval {low:.1%} to {high:.1%}"),
-            ("episodes that went NaN", f"{int(self.nan.sum()):9d}"),
         ]
+        gentle = self.gentle_successes
+        if self.gentleness is not None and gentle is not None:
+            low, high = wilson_interval(int(gentle.sum()), self.episodes)
+            interval = f"{gentle.mean():9.1%}   95 % interval {low:.1%} to {high:.1%}"
+            rows += [("gentle success", interval), *self.gentleness.rows()]
+        rows.append(("episodes that went NaN", f"{int(self.nan.sum()):9d}"))
         if self.overflow:
             rows.append(("steps with lost contacts", f"{self.overflow:9d}   do not trust these"))
         head = f"{self.env}, {self.episodes} episodes"
@@ -87,6 +111,15 @@ class EvaluationResult:
     def summary(self) -> dict[str, Any]:
         """The result for a JSON line."""
         low, high = self.success_interval
+        gentle = {}
+        if self.gentleness is not None and self.gentle_successes is not None:
+            ends = wilson_interval(int(self.gentle_successes.sum()), self.episodes)
+            gentle = {
+                "gentle_success": self.gentle_success,
+                "gentle_success_low": ends[0],
+                "gentle_success_high": ends[1],
+                **self.gentleness.summary(),
+            }
         return {
             "env": self.env,
             "episodes": self.episodes,
@@ -97,16 +130,23 @@ class EvaluationResult:
             "success": self.success,
             "success_low": low,
             "success_high": high,
+            **gentle,
             "nan_episodes": int(self.nan.sum()),
             "overflow": self.overflow,
             "seconds": round(self.seconds, 2),
         }
 
 
-def zero_sums(num_envs: int) -> dict[str, jax.Array]:
-    """What ``add_step`` adds to: one entry an environment."""
+def zero_sums(first: Any, num_envs: int) -> dict[str, jax.Array]:
+    """What ``add_step`` adds to: one entry an environment.
+
+    Args:
+        first: states of the environments before the first step.
+        num_envs: how many they are.
+    """
     names = ("return", "force", "length", "success", "nan", "overflow")
-    return dict.fromkeys(names, jnp.zeros(num_envs, jnp.float32))
+    zeros = jnp.zeros(num_envs, jnp.float32)
+    return dict.fromkeys(names, zeros) | zero_gentleness(first, num_envs)
 
 
 def add_step(
@@ -130,21 +170,28 @@ def add_step(
         "success": metrics.get("success", zero) * state.done,
         "nan": metrics.get("nan", zero),
         "overflow": metrics.get("overflow", zero),
+        **gentleness_gains(state),
     }
-    # not a product: what comes after a failure may not be finite
-    sums = {name: sums[name] + jnp.where(going > 0, gain, 0.0) for name, gain in gains.items()}
-    return going * (1 - state.done), sums
+
+    def joined(name: str, gain: jax.Array) -> jax.Array:
+        total = sums[name]
+        # not a product: what comes after a failure may not be finite
+        gain = jnp.where(jnp.expand_dims(going, range(1, total.ndim)) > 0, gain, 0.0)
+        return jnp.maximum(total, gain) if name in MAXIMA else total + gain
+
+    return going * (1 - state.done), {name: joined(name, gain) for name, gain in gains.items()}
 
 
-def result_of(env_name: str, sums: Mapping[str, Any], seconds: float) -> EvaluationResult:
-    """The result that the sums of all steps make."""
+def result_of(env: Any, sums: Mapping[str, Any], seconds: float) -> EvaluationResult:
+    """The result that the sums of all steps make, of an environment."""
     sums = {name: np.asarray(value) for name, value in sums.items()}
     return EvaluationResult(
-        env=env_name,
+        env=env.name,
         returns=sums["return"],
         forces=sums["force"] / np.maximum(sums["length"], 1),
         successes=sums["success"] > 0.5,
         nan=sums["nan"] > 0,
         overflow=int(sums["overflow"].sum()),
         seconds=seconds,
+        gentleness=gentleness_of(sums, getattr(env, "comfort", None)),
     )

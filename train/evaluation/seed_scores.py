@@ -55,8 +55,9 @@ class SeedScores:
         first = next(iter(self.results.values()))
         lines = [f"{first.env}, {len(self.results)} seeds, {first.episodes} episodes each"]
         for seed, x in self.results.items():
+            gentle = "" if x.gentle_success is None else f"   gentle {x.gentle_success:6.1%}"
             lines.append(
-                f"  seed {seed:<4} success {x.success:6.1%}   return {x.returns.mean():9.2f}   "
+                f"  seed {seed:<4} success {x.success:6.1%}{gentle}   return {x.returns.mean():9.2f}   "
                 f"force {x.forces.mean():6.2f} N"
             )
         for name, scores, form in (
@@ -73,12 +74,16 @@ class SeedScores:
     def summary(self) -> dict[str, Any]:
         """The same for a JSON line."""
         first = next(iter(self.results.values()))
+        gentle = {}
+        if first.gentle_success is not None:
+            gentle["gentle_success_of_seeds"] = [x.gentle_success for x in self.results.values()]
         success, returns = bootstrap_interval(self.successes), bootstrap_interval(self.returns)
         return {
             "env": first.env,
             "episodes": first.episodes,
             "seeds": list(self.results),
             "success_of_seeds": [x.success for x in self.results.values()],
+            **gentle,
             "return_of_seeds": [float(x.returns.mean()) for x in self.results.values()],
             "force_of_seeds": [float(x.forces.mean()) for x in self.results.values()],
             "success_iqm": iqm(self.successes.mean(1)),

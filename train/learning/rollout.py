@@ -13,8 +13,11 @@ from agym_jax.state import strong
 
 from .execution import ONE_PROGRAM, Execution
 
-FORCE_KEY = "force/on_human"
+FORCE_KEY, PEAK_KEY = "force/on_human", "force/peak_on_human"
+COMFORT_KEY, LIMIT_KEY = "force/of_comfort", "force/of_limit"
 EPISODE_TOTALS = ("episodes", "return", "return_squared", "success", "force", "length")
+GENTLE_TOTALS = ("episode/gentle", "episode/peak", "step/force/over_comfort")
+"""Of environments that measure ``COMFORT_KEY``."""
 Totals = dict[str, jax.Array]
 
 
@@ -27,6 +30,8 @@ class RolloutState:
     discounted: jax.Array  # discounted return so far, scaled reward    (B,)
     episode_return: jax.Array  # (B,)
     episode_force: jax.Array  # sum over steps of the force on the person [N]    (B,)
+    episode_peak: jax.Array  # largest force on a region of the body so far [N]    (B,)
+    episode_harsh: jax.Array  # steps so far in which it was above the comfort limit    (B,)
     episode_length: jax.Array  # steps so far    (B,)
     counted: jax.Array  # 1 where the episode was seen from its start    (B,)
 
@@ -94,7 +99,7 @@ def init_rollout(venv: Any, key: jax.Array, stagger: bool) -> RolloutState:
     if staggered:
         state = venv.stagger(state, key_stagger)
     counted = zeros if staggered else zeros + 1
-    return RolloutState(strong(state), zeros, zeros, zeros, zeros, counted)
+    return RolloutState(strong(state), zeros, zeros, zeros, zeros, zeros, zeros, counted)
 
 
 def zero_totals(env_state: Any, axes: tuple[int, ...] = ()) -> Totals:
@@ -102,6 +107,7 @@ def zero_totals(env_state: Any, axes: tuple[int, ...] = ()) -> Totals:
     names = [f"episode/{name}" for name in EPISODE_TOTALS]
     names += ["step/reward", "step/nan", "step/overflow"]
     names += [f"step/{name}" for name in env_state.metrics if "/" in name]
+    names += GENTLE_TOTALS if COMFORT_KEY in env_state.metrics else ()
     return {name: jnp.zeros(axes, jnp.float32) for name in names}
 
 
@@ -139,6 +145,9 @@ def record_step(
     discounted = _per_env(gamma, len(done)) * rollout.discounted + reward
     episode_return = rollout.episode_return + after.reward
     episode_force = rollout.episode_force + metrics.get(FORCE_KEY, zero)
+    peak = jnp.maximum(rollout.episode_peak, metrics.get(PEAK_KEY, zero))
+    over_comfort = (metrics.get(COMFORT_KEY, zero) > 1).astype(jnp.float32)
+    harsh = rollout.episode_harsh + over_comfort
     length = rollout.episode_length + 1
     ended = done * rollout.counted
     gains = {
@@ -148,6 +157,9 @@ def record_step(
         "episode/success": ended * metrics.get("success", zero),
         "episode/force": ended * episode_force / length,
         "episode/length": ended * length,
+        "episode/gentle": ended * metrics.get("success", zero) * (harsh == 0),
+        "episode/peak": ended * peak,
+        "step/force/over_comfort": over_comfort,
         "step/reward": after.reward,
         "step/nan": metrics.get("nan", zero),
         "step/overflow": metrics.get("overflow", zero),
@@ -178,6 +190,8 @@ def record_step(
         discounted=discounted * going_on,
         episode_return=episode_return * going_on,
         episode_force=episode_force * going_on,
+        episode_peak=peak * going_on,
+        episode_harsh=harsh * going_on,
         episode_length=length * going_on,
         counted=jnp.maximum(rollout.counted, done),
     )

@@ -14,7 +14,7 @@ from ..errors import DivergedError
 from ..evaluation.statistics import bootstrap_interval, iqm
 
 Row = dict[str, Any]
-SCORES = ("return", "success", "force", "return_per_step")
+SCORES = ("return", "success", "gentle", "force", "return_per_step")
 """Columns that are combined over seeds by their interquartile mean."""
 
 
@@ -69,8 +69,9 @@ def make_row(totals: Mapping[str, Any], updates: int, samples: int, episode_leng
         episode_length: steps of a full episode.
 
     Returns:
-        ``episodes, return, return_std, success, force, length`` of the episodes that ended (None
-        where none did), ``return_per_step`` (mean reward of a step times the episode length),
+        ``episodes, return, return_std, success, force, length`` of the episodes that ended (None where none did),
+        where the environment measures it ``gentle`` (share of successes without a step above the comfort limit) and
+        ``peak`` (mean of the episodes' largest forces [N]), ``return_per_step`` (mean reward of a step times the episode length),
         environment steps of ``nan`` and ``overflow``, means of the environment's named metrics, losses.
     """
     value = {name: float(total) for name, total in totals.items()}
@@ -78,6 +79,9 @@ def make_row(totals: Mapping[str, Any], updates: int, samples: int, episode_leng
     row: Row = {"episodes": int(episodes)}
     for name in ("return", "success", "force", "length"):
         row[name] = value[f"episode/{name}"] / episodes if episodes else None
+    for name in ("gentle", "peak"):
+        if f"episode/{name}" in value:
+            row[name] = value[f"episode/{name}"] / episodes if episodes else None
     row["return_std"] = None
     if episodes:
         variance = value["episode/return_squared"] / episodes - row["return"] ** 2

@@ -68,6 +68,8 @@ class _Latest:
             if "success_min" in self.known:
                 spread = f" ({self.known['success_min']:.0%} to {self.known['success_max']:.0%})"
             parts.append(f"success {self.known['success']:.0%}{spread}")
+            if "gentle" in self.known:
+                parts.append(f"gentle {self.known['gentle']:.0%}")
         if row["nan_total"]:
             parts.append(f"NaN {row['nan_total']:.0f}")
         return "  ".join(parts)

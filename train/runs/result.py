@@ -93,13 +93,15 @@ def summary(result: TrainResult) -> str:
     config = result.config
     word = "stopped at" if result.interrupted else "trained"
     nan = f", {result.nan_steps} environment steps went NaN" if result.nan_steps else ""
-    seeds, spread = "", ""
+    seeds, spread, gentle = "", "", ""
+    if result.last("gentle") is not None:
+        gentle = f", gentle {shown('gentle', '.0%')}"
     if len(result.seeds) > 1:
         seeds = f" with each of {len(result.seeds)} seeds"
         spread = f" ({shown('success_min', '.0%')} to {shown('success_max', '.0%')})"
     text = (
         f"{config.env_name}: {word} {result.env_steps:,} steps{seeds}, return {shown('return', '.1f')}, "
-        f"success {shown('success', '.0%')}{spread}, force {shown('force', '.2f')} N{nan}. "
+        f"success {shown('success', '.0%')}{spread}{gentle}, force {shown('force', '.2f')} N{nan}. "
         f"Compiled in {duration(result.compile_seconds)}, trained {result.session_steps:,} steps "
         f"in {duration(result.train_seconds)} ({result.steps_per_second:,.0f} steps/s)."
     )

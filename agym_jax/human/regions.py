@@ -1,0 +1,135 @@
+"""Regions of the body, and the forces that robot and tools may press them with.
+
+Two kinds of limits, for each region: what industrial robots must not exceed, because it begins to hurt
+(``Region.quasi_static``, ``Region.transient``), and what is comfortable in care (``Region.comfort``), which a task may
+set for itself (``Comfortable``). An episode is a *gentle* success if it is a success and no step of it was above
+the comfort limit.
+
+What counts: normal forces of all contacts of the robot and its tools with the person, summed over each region, left and
+right together, which is strict. Not the seat or bed that bears the person, nor the gown (Dressing observes its force).
+
+Two numbers for each control step of 0.1 s. The *peak* is the largest force of its physics steps, 0.01 or 0.02 s each: contacts have
+a time constant of 0.04 s (``sim.contacts.SOLREF``), so that no impact is shorter, whereas a mean over 0.1 s would hide
+two thirds of it. It is held against the comfort limit and the limit of transient contact. The *mean* is held against the
+limit of quasi-static contact, which ISO asks for after 0.5 s only: here every 0.1 s count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from agym_jax.errors import SpecError, UnknownNameError
+from agym_jax.human.body import SHAPES
+
+
+class Region(NamedTuple):
+    """A region of the body and the forces that it bears [N]."""
+
+    name: str
+    shapes: tuple[str, ...]  # of the body, without "left_" and "right_"
+    quasi_static: float  # that lasts
+    transient: float  # of an impact
+    comfort: float
+
+
+HEAD, LIMB = 10.0, 20.0
+"""Comfort limits [N]; estimates, as nobody has measured what people who are helped bear gladly all over the body.
+
+Head: people without impairments who chose how hard a robot might shave and wipe their face allowed 11.1 and 36.4 N at most
+(Proc IMechE H 237(7):829, 2023); a spoon or cup at the lips needs less than a shaver.
+Limbs and trunk: twice that. A robot that wiped limbs of a person in bed needed less than 3 N (King et al., IROS 2010), and Assistive
+Gym calls 10 N at the target high; 20 N is the weight of a forearm and hand that rest on one.
+"""
+
+# Of ISO/TS 15066:2016, table A.2, since 2025 in ISO 10218-2; from secondary sources (integrators' tables; BG/BGIA 2011, which
+# preceded it), as the standard is not public. Some print 150 N for the neck: the lower is taken. Twice the force when
+# transient, but for skull and face, where ISO gives no factor: counted once.
+REGIONS: tuple[Region, ...] = (
+    Region("face", ("face", "nose"), 65.0, 65.0, HEAD),
+    Region("skull", ("head",), 130.0, 130.0, HEAD),
+    Region("neck", ("neck",), 145.0, 290.0, HEAD),
+    Region("shoulder", ("girdle",), 210.0, 420.0, LIMB),
+    Region("chest", ("chest",), 140.0, 280.0, LIMB),
+    Region("abdomen", ("waist",), 110.0, 220.0, LIMB),
+    Region("pelvis", ("hips",), 180.0, 360.0, LIMB),
+    Region("upper arm", ("upper_arm",), 150.0, 300.0, LIMB),
+    Region("forearm", ("forearm",), 160.0, 320.0, LIMB),
+    Region("hand", ("hand",), 140.0, 280.0, LIMB),
+    Region("thigh", ("thigh",), 220.0, 440.0, LIMB),
+    Region("lower leg", ("shin", "foot"), 130.0, 260.0, LIMB),
+)
+"""Every shape of the body belongs to one of them."""
+
+NAMES = tuple(region.name for region in REGIONS)
+QUASI_STATIC = np.array([region.quasi_static for region in REGIONS], np.float32)
+TRANSIENT = np.array([region.transient for region in REGIONS], np.float32)
+REGION_OF: dict[str, int] = {
+    shape: i
+    for shape in SHAPES
+    for i, region in enumerate(REGIONS)
+    if shape.removeprefix("left_").removeprefix("right_") in region.shapes
+}
+"""Shape of the body -> row in ``REGIONS``."""
+
+
+@runtime_checkable
+class Comfortable(Protocol):
+    """What a task has besides if other forces than ``Region.comfort`` are comfortable in it."""
+
+    @property
+    def comfort(self) -> tuple[tuple[str, float], ...]:
+        """Names of regions and their comfort limits [N]; those that are left out have the region's own."""
+        ...
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class RegionForces:
+    """Normal force of robot and tools on each of ``REGIONS`` during one control step."""
+
+    mean: Array  # over its physics steps [N]                                   (n_regions,)
+    peak: Array  # the largest of its physics steps [N]                         (n_regions,)
+
+    def of_comfort(self, comfort: Any) -> Array:
+        """The largest share of its comfort limit that a region bears; above 1 it is exceeded ().
+
+        Args:
+            comfort: from ``comfort_limits``.
+        """
+        return jnp.max(self.peak / comfort)
+
+    def of_limit(self) -> Array:
+        """The largest share of its ISO limits that a region bears; above 1 one is exceeded ()."""
+        return jnp.max(jnp.maximum(self.peak / TRANSIENT, self.mean / QUASI_STATIC))
+
+
+def no_forces() -> RegionForces:
+    """Nobody touches the person."""
+    return RegionForces(jnp.zeros(len(REGIONS)), jnp.zeros(len(REGIONS)))
+
+
+def comfort_limits(task: Any) -> np.ndarray:
+    """The comfort limit of each region in a task [N] (n_regions,).
+
+    Args:
+        task: any; its own limits count if it is ``Comfortable``.
+
+    Raises:
+        UnknownNameError: it names a region that there is not.
+        SpecError: a limit is not greater than 0.
+    """
+    own = dict(task.comfort) if isinstance(task, Comfortable) else {}
+    for name, limit in own.items():
+        if name not in NAMES:
+            raise UnknownNameError("region of the body", name, NAMES)
+        if not limit > 0:
+            raise SpecError(
+                f"{task.name}'s comfort limit of the {name} must be above 0, got {limit}."
+            )
+    return np.array([own.get(region.name, region.comfort) for region in REGIONS], np.float32)

@@ -43,7 +43,7 @@ from agym_jax.sim.physics import build_physics, check_traceable, choose_impl
 from agym_jax.sim.pictures import markers_of, picture_model, write_pose
 from agym_jax.sim.scene import build_scene
 from agym_jax.sim.sensing import ContactSums, motion_at_rest, no_contacts, sense
-from agym_jax.spec import Privileged, RobotSpec, Task
+from agym_jax.spec import Loaded, Privileged, RobotSpec, Task
 from agym_jax.state import Episode, State, select, strong
 
 MAX_SPEED = 1e3
@@ -100,7 +100,7 @@ class AssistiveEnv:
         """The stages around the physics; where JAX cannot trace it, they are compiled one by one."""
         stage = self.physics.stage
         self._sample, self._init_task = stage(self._sample_episode), stage(self._begin_task)
-        self._targets, self._evaluate = stage(self.controller.targets), stage(self._evaluate_step)
+        self._targets, self._evaluate = stage(self._control_targets), stage(self._evaluate_step)
 
     # -- sizes ---------------------------------------------------------------------------------
 
@@ -209,7 +209,7 @@ class AssistiveEnv:
         action = checked_action(action, self.action_sizes, self.name)
         check_traceable(self.physics, state.data.qpos, action)
         # control
-        targets = self._targets(state.episode, state.data.qpos, action)
+        targets = self._targets(state.episode, state.data, state.task, action)
         # physics
         data, contacts, motion = self.physics.step(state.data, state.episode, targets)
         # sense -> task -> observe
@@ -223,6 +223,13 @@ class AssistiveEnv:
         after["metrics"] = {**state.metrics, **after["metrics"]}
         episode = dataclasses.replace(state.episode, human_target=targets.hold, step=clock)
         return state.replace(data=data, episode=episode, **after)
+
+    def _control_targets(
+        self, episode: Episode, data: Any, task: Any, action: Array
+    ) -> ControlTargets:
+        """What one control step asks of the joints."""
+        load = self.task.load(task) if isinstance(self.task, Loaded) else None
+        return self.controller.targets(episode, data, action, load)
 
     def _evaluate_step(
         self,

@@ -63,6 +63,7 @@ class Arm:
     tool_frame: str  # site: canonical tool frame, z = approach, x = across the fingers
     gripper: tuple[str, ...]  # finger joints
     links: tuple[str, ...]  # collision geoms that may touch the person: hand, fingers, then inwards
+    hand: int = 1  # how many of the links may touch furniture and the robot's trunk, too
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,9 @@ class RobotSpec:
     grasps: Mapping[str, Pose] = field(default_factory=dict)  # tool -> pose, over the tool's own
     bases: Mapping[str, Pose] = field(default_factory=dict)  # seat or task -> fixed base
     mounts: Mapping[str, str] = field(default_factory=dict)  # seat -> asset that carries the base
+    solid_mounts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # seat -> its geoms
+    trunk: tuple[str, ...] = ()  # collision geoms of the robot that hand and tool may touch
+    near_mount: tuple[str, ...] = ()  # those besides ``Arm.links`` that may touch a solid mount
     rest: Mapping[str, float] = field(default_factory=dict)  # joint not in use -> angle, else 0
     start_rotations: Mapping[str, Quat] = field(default_factory=dict)  # task -> hand orientation
     searches: Mapping[str, BaseSearch] = field(default_factory=dict)  # task -> where to look
@@ -356,6 +360,15 @@ class Privileged(Protocol):
 
     def privileged_obs(self, state: Any) -> jax.Array:
         """What nobody observes; for value functions, in training only (privileged_obs_size,)."""
+        ...
+
+
+@runtime_checkable
+class Loaded(Protocol):
+    """What a task has besides if its tool weighs on the arm that holds it."""
+
+    def load(self, state: Any) -> tuple[jax.Array, jax.Array]:
+        """Weight of the first tool and what is in it [N] (), and where it acts, world [m] (3,)."""
         ...
 
 

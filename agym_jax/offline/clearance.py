@@ -24,12 +24,13 @@ class Clearance:
         self.scenes = []
         for sex in (0.0, 1.0):
             angles = human_pose.start_angles(human_pose.typical(task.human, sex), moving, 1.0, np)
-            scene = _CompiledScene(compose(task, robot, sex=sex, solid=True), self.joints)
+            mount = robot.solid_mounts.get(task.seat.name, ())
+            scene = _CompiledScene(compose(task, robot, sex=sex, solid=True), self.joints, mount)
             scene.set_angles([f"human/{j}" for j in moving], angles)
             self.scenes.append(scene)
 
     def outside(self, place: Placement) -> float:
-        """Distance of the moving arms and their tools from person and furniture, at most ``FAR`` [m]."""
+        """Distance of the moving arms and their tools from person, furniture and mount, at most ``FAR`` [m]."""
         nearest = FAR
         for scene in self.scenes:
             scene.set_placement(place, self.joints)
@@ -46,7 +47,7 @@ class Clearance:
 class _CompiledScene:
     """A compiled scene and the geom pairs whose distances count."""
 
-    def __init__(self, model: mujoco.MjModel, joints: list[str]):
+    def __init__(self, model: mujoco.MjModel, joints: list[str], mount: tuple[str, ...] = ()):
         self.model, self.data = model, mujoco.MjData(model)
         moving = {model.joint(name).id for name in joints}
         names = [model.geom(i).name for i in range(model.ngeom)]
@@ -55,6 +56,9 @@ class _CompiledScene:
         ]
         robot = of("robot/", "tool")
         rest = [i for i, n in enumerate(names) if n.startswith("human/")] + of("seat/")
+        mounts = [names.index(f"mount/{g}") for g in mount]
+        rest += mounts
+        self.mount = np.unique(model.geom_bodyid[mounts]) if mounts else np.zeros(0, int)
         self.root = int(model.body_rootid[model.geom_bodyid[robot[0]]])
         arms = [g for g in robot if self._joints_above(model.geom_bodyid[g]) & moving]
         self.outside = np.array([(a, b) for a in arms for b in rest])
@@ -85,6 +89,7 @@ class _CompiledScene:
         """Move the base, bend the arms' joints and update the kinematics."""
         self.model.body_pos[self.root] = place.base_pos
         self.model.body_quat[self.root] = place.base_quat
+        self.model.body_pos[self.mount] = place.base_pos  # it does not turn
         self.set_angles(joints, np.asarray(place.arm_angles))
         mujoco.mj_kinematics(self.model, self.data)
 

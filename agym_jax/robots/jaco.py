@@ -9,6 +9,10 @@ them here. Replayed pushes on a held arm (parity page, AG's masses) have joints 
 arm here. No single cause is known: fingers 3 mm thicker or thinner move joints by 0.03 rad after 2 s and by 0.03 to 0.06 after 4 s,
 a palm 5 mm thicker by nothing, the scratcher 1 mm thicker by 0.02 and 0.06, friction 20 % higher by 0.03 and 0.09, a round friction cone by
 0.04 and 0.08; with the last two, one at a time, the medians after 4 s are 0.21 and 0.14 instead of 0.44.
+
+Hand, wrist and tool meet the two lowest links of the arm and, beside the bed, the nightstand, as in AG, whose distances of link from
+link these capsules keep within 1 cm on average (3,000 random postures). Without it a policy for ArmManipulation learned to fold the
+hand through the upper arm: in AG they were in contact in 72 % of its steps, and it helped in 1 of 10 episodes.
 """
 
 import math
@@ -29,6 +33,7 @@ _ARM = Arm(
         "link_5_collision",
         "link_4_collision",
     ),
+    hand=5,
 )
 _ROBOSUITE = "robosuite/models/assets"
 _BLACK, _PLASTIC = (0.05, 0.05, 0.05, 1.0), (0.88, 0.86, 0.86, 1.0)  # as robosuite paints them
@@ -80,6 +85,10 @@ JACO = RobotSpec(
         "wheelchair_left": "furniture/jaco_mount_left.xml",
         "bed": "furniture/nightstand.xml",
     },
+    solid_mounts={"bed": ("nightstand_collision",)},
+    # AG loads it with self-collision; of 3,000 random postures no other links that are not neighbours meet
+    trunk=("link_1_collision", "link_2_collision"),
+    near_mount=("link_3_collision",),
     # robots.md section 7: beside the bed on a nightstand, spread 0.1 m
     searches={
         "BedBathing": BaseSearch((-0.9, 0.65, 0.6), spread=0.1),

@@ -1,6 +1,9 @@
 """Rethink Sawyer: one arm of seven joints on a pedestal and a gripper of two sliding fingers.
 
 Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robots/sawyer.xml``.
+
+DEVIATION(sawyer-pedestal): AG's arm stops, from its third link outwards, at the robot's pedestal and the base of its arm; here it
+passes through them (17 % of 5,000 random postures). How often AG's policies lean there is not known.
 """
 
 import math

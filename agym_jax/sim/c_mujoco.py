@@ -107,8 +107,8 @@ def layout_of(d: mujoco.MjData) -> Layout:
 class Watcher(Protocol):
     """What is told of every physics step, see ``sim.impulse``."""
 
-    def before(self, data: mujoco.MjData) -> None:
-        """One is about to begin."""
+    def before(self, data: mujoco.MjData, load: np.ndarray) -> None:
+        """One is about to begin, with a load on the robot's joints [N m] (n_arm,)."""
         ...
 
     def after(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -178,15 +178,17 @@ class NativePhysics:
         """One control step. The ``qpos`` of an environment that goes non-finite are NaN."""
         index, sensors, samples = self.scene.index, [], []
         target, goal = np.asarray(targets.target), np.asarray(targets.goal)
+        load = np.asarray(targets.load)
         with self._lock:
             d = self._load(data, episode)
             for _ in range(self.frame_skip):
                 if not _is_sound(d):
                     break
                 if self.watcher:
-                    self.watcher.before(d)
+                    self.watcher.before(d, load)
                 self._pull(d, target)
-                drive = self.controller.motors.prepare(self.model, d, self.controller.aim(goal))
+                aim = self.controller.aim(goal)
+                drive = self.controller.motors.prepare(self.model, d, aim, besides=load)
                 mujoco.mj_step(self.model, d)
                 if self.watcher:
                     self.watcher.after(self.model, d)

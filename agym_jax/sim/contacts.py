@@ -34,18 +34,27 @@ def tool_prefixes(task: Task, arms: tuple[Arm, ...]) -> tuple[str, ...]:
 
 
 def contact_pairs(
-    task: Task, arms: tuple[Arm, ...], moving: tuple[str, ...]
+    task: Task, robot: RobotSpec, moving: tuple[str, ...]
 ) -> dict[str, list[tuple[str, str]]]:
     """Geom pairs that may touch, by what their force means; names with prefixes.
 
     The hand and the tool's working part may touch every limb of ``task.human.limbs``; the other
     links and the rest of the tool the arm that is helped, the links also the thigh beneath it.
     The outline of a tool that has one takes the place of its working part but for that arm.
+    Furniture, the robot's trunk and its mount meet the tool's working part and the hand, the mount also the arm.
+
+    Args:
+        task: of the scene.
+        robot: of the scene.
+        moving: joints of the person that are hinges.
     """
+    arms = robot.arms_for(task)
     limbs = body.shapes_of(task.human.limbs)
     arm = [x for x in limbs if x.split("_", 1)[-1] in ("upper_arm", "forearm", "hand")]
     near = [*arm, *(x for x in limbs if x.endswith("thigh"))]
     seat = [f"seat/{g}" for g in task.seat.geoms]
+    trunk = [f"robot/{g}" for g in robot.trunk]
+    mount = [f"mount/{g}" for g in robot.solid_mounts.get(task.seat.name, ())]
     pairs: dict[str, list[tuple[str, str]]] = {}
     for prefix in tool_prefixes(task, arms):
         tool = task.tool
@@ -57,12 +66,18 @@ def contact_pairs(
             (g, f"human/{x}") for g in coarse for x in others
         ]
         pairs[f"{prefix}seat"] = [(g, x) for g in coarse for x in seat]
-    pairs["robot_human"], pairs["robot_seat"] = [], []
+        pairs[f"{prefix}robot"] = [(g, x) for g in coarse for x in trunk]
+        pairs[f"{prefix}mount"] = [(g, x) for g in coarse for x in mount]
+    pairs |= {f"robot_{other}": [] for other in ("human", "seat", "robot", "mount")}
     for each in arms:
         hand, *links = (f"robot/{g}" for g in each.links)
         pairs["robot_human"] += [(hand, f"human/{x}") for x in limbs]
         pairs["robot_human"] += [(g, f"human/{x}") for g in links for x in near]
-        pairs["robot_seat"] += [(hand, g) for g in seat]
+        outer = [f"robot/{g}" for g in each.links[: each.hand]]
+        pairs["robot_seat"] += [(g, x) for g in outer for x in seat]
+        pairs["robot_robot"] += [(g, x) for g in outer for x in trunk]
+        inner = [f"robot/{g}" for g in robot.near_mount]
+        pairs["robot_mount"] += [(g, x) for g in (hand, *links, *inner) for x in mount]
     free = [x for x in arm if body.is_free(body.LINK[x], moving)]
     outer = [x for x in free if task.seat.bears_upper_arm or not x.endswith("upper_arm")]
     pairs["human_seat"] = [(f"human/{x}", g) for x in outer for g in seat]
@@ -124,11 +139,14 @@ def pair_friction(kind: str, task: Task, robot: RobotSpec) -> float:
     materials = {
         "human": task.human.friction, "self": task.human.friction, "seat": task.seat.friction,
         "robot": robot.friction, "tool": task.tool.friction if task.tool is not None else 0.0,
+        "mount": MOUNT_FRICTION,
     }  # fmt: skip
     one, other = kind.replace("/", "_").replace("tool2", "tool").split("_")
     return materials[one] * materials[other]
 
 
+MOUNT_FRICTION = 0.5
+"""Of what carries a robot's base: Bullet's of anything that has no other."""
 ROLLS = ("upper_arm", "girdle")
 """What lies on the bed throughout, and comes to rest by rolling friction; the forearm hangs in the air."""
 

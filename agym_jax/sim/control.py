@@ -42,6 +42,7 @@ class ControlTargets:
 
     action: Array  # clipped to [-1, 1]                                       (n_action,)
     goal: Array  # of the robot's joints, within their limits [rad]           (n_arm,)
+    load: Array  # on them: torque of what the tool weighs [N m]              (n_arm,)
     target: Array  # of the muscles, tremor included [rad]                    (n_person,)
     hold: Array  # the same without tremor, to be remembered [rad]            (n_person,)
 
@@ -115,19 +116,37 @@ class Controller:
         """The scene's model, or a copy with contacts as people with AG's masses need them."""
         return model if self.landing is None else hold_early(model, self.landing.pairs)
 
-    def targets(self, episode: Episode, qpos: Array, action: Array) -> ControlTargets:
+    def targets(
+        self, episode: Episode, data: Any, action: Array, load: tuple[Array, Array] | None = None
+    ) -> ControlTargets:
         """What an action means, given where the joints are.
 
         Args:
             episode: of the environment.
-            qpos: of the whole scene [rad] (nq,).
+            data: of the physics, kinematics up to date.
             action: robot's joints, then the active person's; NaN and infinity act as 0 (n_action,).
+            load: weight of the first tool [N] () and where it acts, world [m] (3,); None for nothing.
         """
-        n_arm = len(self.index.robot_qpos)
+        qpos, n_arm = data.qpos, len(self.index.robot_qpos)
         action = jnp.clip(jnp.where(jnp.isfinite(action), action, 0.0), -1.0, 1.0)
         goal = self.robot_goal(qpos[self.index.robot_qpos], action[:n_arm])
         q = qpos[self.index.human_qpos]
-        return ControlTargets(action, goal, *self.human_target(episode, q, action[n_arm:]))
+        torque = jnp.zeros(n_arm) if load is None else self.load_torque(data, *load)
+        return ControlTargets(action, goal, torque, *self.human_target(episode, q, action[n_arm:]))
+
+    def load_torque(self, data: Any, weight: Any, point: Any, xp: Any = jnp) -> Any:
+        """Torque of a weight on the first tool about the robot's joints [N m] (n_arm,).
+
+        Args:
+            data: of the physics, kinematics up to date.
+            weight: [N] ().
+            point: where it acts, world [m] (3,).
+            xp: numpy or jax.numpy.
+        """
+        joints = self.index.robot_joint
+        bears = np.isin(joints, self.index.tools[0].joints).astype(np.float32)
+        lever = xp.cross(data.xaxis[joints], point - data.xanchor[joints])
+        return -bears * lever[:, 2] * weight
 
     def robot_goal(self, q: Array, action: Array) -> Array:
         """Angles that the robot's motors aim at in this control step [rad] (n_arm,).

@@ -107,7 +107,7 @@ def model_fields(scene: Scene, model: Any, episode: Episode, muscles: Muscles) -
 
     return {
         "body_pos": of("body_pos").at[bodies].set(rows.body_pos)
-        .at[index.robot_base].set(place.base_pos),
+        .at[np.r_[index.robot_base, index.mount]].set(place.base_pos),
         "body_quat": of("body_quat").at[bodies].set(rows.body_quat)
         .at[index.robot_base].set(place.base_quat),
         "body_mass": of("body_mass").at[bodies].set(rows.body_mass),

@@ -41,7 +41,7 @@ class Balance:
     motors: np.ndarray  # [N m]                                              (n,)
     limits: np.ndarray  # [N m]                                              (n,)
     contacts: np.ndarray  # [N m]                                            (n,)
-    inertial: np.ndarray  # and gravity, its compensation, and joint damping [N m]  (n,)
+    inertial: np.ndarray  # and gravity, its compensation, joint damping, a tool's load [N m]  (n,)
     force: float  # sum of normal forces on robot and tool, mean [N]
     bound: float  # of a motor [N m]
 
@@ -80,9 +80,9 @@ class Account:
         self._sums: dict[str, Any] = dict.fromkeys(("momentum", "inertial", *KINDS), 0.0)
         self._force, self._time = 0.0, 0.0
 
-    def before(self, data: mujoco.MjData) -> None:
+    def before(self, data: mujoco.MjData, load: np.ndarray) -> None:
         """A physics step is about to begin; nothing has been prepared for it yet."""
-        self._velocity = data.qvel[self.motors.dofs].copy()
+        self._velocity, self._load = data.qvel[self.motors.dofs].copy(), load
 
     def after(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """It has been taken."""
@@ -92,7 +92,7 @@ class Account:
         inertia = self.motors.inertia(data.M, np) - np.diag(model.dof_armature[dofs])
         sums["momentum"] += inertia @ (velocity - self._velocity)
         outer = data.qfrc_gravcomp[dofs] - data.qfrc_bias[dofs]
-        sums["inertial"] += step * (outer - self.motors.damping * velocity)
+        sums["inertial"] += step * (outer + self._load - self.motors.damping * velocity)
         torque = np.zeros(model.nv)
         for kind, types in KINDS.items():
             rows = np.where(np.isin(data.efc_type, types), data.efc_force, 0.0)

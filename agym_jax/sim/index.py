@@ -22,7 +22,7 @@ class ToolIndex:
     on_human: np.ndarray  # against the person                                 (n_pairs,)
     contact: np.ndarray  # which contact of a part and a limb they belong to    (n_pairs,)
     working: np.ndarray  # whether the working part makes that, float           (n_contacts,)
-    on_seat: np.ndarray  # against furniture                                    (n,)
+    on_seat: np.ndarray  # against furniture, the robot and its mount           (n,)
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class Index:
     robot_qpos: np.ndarray  # qpos addresses                                  (n_arm,)
     robot_dof: np.ndarray  # dof addresses                                    (n_arm,)
     robot_base: int  # body id that a placement moves
+    mount: np.ndarray  # body ids of what carries the base, if it is solid     (0 or 1,)
     torso_site: int  # the robot's reference point
     tools: tuple[ToolIndex, ...]  # one for each arm
     robot_human: np.ndarray  # sensors: robot links against the person       (n,)

@@ -126,7 +126,7 @@ class MjxPhysics:
             q, v = data.qpos[index.robot_qpos], data.qvel[index.robot_dof]
             load = data.qfrc_bias[index.robot_dof]
             drive = motors.drive(motors.inertia(inertia), load, q, v, aim)
-            data, solref = _write(data, solref, index.robot_dof, drive)
+            data, solref = _write(data, solref, index.robot_dof, drive, targets.load)
             if len(index.human_dof):
                 q, v = data.qpos[index.human_qpos], data.qvel[index.human_dof]
                 load = data.qfrc_bias[index.human_dof]

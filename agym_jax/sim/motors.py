@@ -21,8 +21,7 @@ per N m of bound turned at the wanted velocity: a joint under the whole bound cr
 up it has the inertial torque of the velocity at which its physics step begins here, and gets back the momentum by the inertia
 of the step before: at most 0.3 N m in a control step (BedBathing: 0.8) and 15 % of a contact's force are off. After 25 random
 actions joints end within 0.03 rad of AG's; BedBathing's Sawyer within 0.046 (0.021 with both torques of the right velocity and
-pose, which would cost two more passes over the bodies in every physics step), Drinking's Sawyer within 0.055, for AG's cup of
-10 g hangs on the arm there and weighs nothing here (0.003 with it; the water, 64 g more, does not weigh on the arm either).
+pose, which would cost two more passes over the bodies in every physics step).
 MuJoCo steps 0.01 s where AG steps 0.002 to 0.004 s; Bullet's drag (4 % of a velocity in a second) is left out, and PR2 has the
 URDF's inertias in ArmManipulation too, where AG has Bullet's.
 """

@@ -143,16 +143,16 @@ def compose(
         if b.name.startswith(("robot/", "tool")):
             b.gravcomp = 1.0  # AG switches gravity off for robot and tool
     _attach(spec, seat_spec, Pose(), "seat/")
-    if (visual or solid) and task.seat.name in robot.mounts:
+    everything = visual or solid
+    if task.seat.name in (robot.mounts if everything else robot.solid_mounts):
         # one that belongs to the seat is drawn in the world, one that moves with the robot at its base
         mount = Pose(base.pos) if fixed_base is None else Pose()
         _attach(spec, _load(robot.mounts[task.seat.name]), mount, "mount/")
-    for prop in task.seat.props if visual or solid else ():
+    for prop in task.seat.props if everything else ():
         _attach(spec, _load(prop.model), prop.pose, f"seat/{prop.name}/")
     d = anthropometry.dims(sex, stature, girth)
     pose = pose or human_pose.typical(task.human, sex, stature, girth, limit_scale)
     rows = human_pose.rows(task.human, pose, d, moving, limit_scale, np)
-    everything = visual or solid
     links = tuple(x.name for x in body.LINKS) if everything else lean_links(task, moving)
     _attach(spec, build_human(rows, moving, d, links, visual), Pose(), "human/")
     for i, surface in enumerate(surfaces):
@@ -162,7 +162,7 @@ def compose(
     add_motors(spec, driven, control.max_torque, control.time_step)
     for name in moving:
         spec.joint(f"human/{name}").frictionloss = task.human.max_torque
-    _add_contacts(spec, task, robot, contact_pairs(task, arms, moving))
+    _add_contacts(spec, task, robot, contact_pairs(task, robot, moving))
     if not everything:
         _make_lean(spec, f"robot/{robot_root}", links)
     model = spec.compile()
@@ -197,7 +197,7 @@ def draw_surfaces(data: mujoco.MjData, surfaces: Sequence[Surface]) -> None:
 def _make_lean(spec: mujoco.MjSpec, robot_root: str, links: tuple[str, ...]) -> None:
     """Drop what nobody touches, and fuse static bodies: shallow trees run fastest in MJX.
 
-    The robot's root and the person's links stay bodies, because they are posed per environment; an
+    The robot's root, its mount and the person's links stay bodies, because they are posed per environment; an
     ``<exclude>`` that names a body keeps it from being fused.
     """
     touching = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
@@ -205,8 +205,9 @@ def _make_lean(spec: mujoco.MjSpec, robot_root: str, links: tuple[str, ...]) -> 
         if geom.name not in touching and not geom.name.startswith("human/"):
             spec.delete(geom)
     spec.compiler.fusestatic = True
-    for link in links:
-        spec.add_exclude(bodyname1=robot_root, bodyname2=f"human/{link}")
+    mounts = [b.name for b in spec.worldbody.bodies if b.name.startswith("mount/")]
+    for name in (*mounts, *(f"human/{link}" for link in links)):
+        spec.add_exclude(bodyname1=robot_root, bodyname2=name)
 
 
 def _load(asset: str) -> mujoco.MjSpec:
@@ -328,7 +329,7 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[st
 
     o = mujoco.mjtObj
     arms = robot.arms_for(task)
-    pairs = contact_pairs(task, arms, moving)
+    pairs = contact_pairs(task, robot, moving)
     sensors = {
         kind: model.sensor_adr[ids(o.mjOBJ_SENSOR, [f"{kind}|{a}|{b}" for a, b in named])].astype(
             np.int32
@@ -348,7 +349,8 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[st
             prefix = tool_prefixes(task, arms)[i]
             tip = ids(o.mjOBJ_SITE, [f"{prefix}{task.tool.tip}"])[0]
             geoms = ids(o.mjOBJ_GEOM, [f"{prefix}{g}" for g in task.tool.geoms])
-            on_human, on_seat = sensors[f"{prefix}human"], sensors[f"{prefix}seat"]
+            on_human = sensors[f"{prefix}human"]
+            on_seat = np.concatenate([sensors[f"{prefix}{x}"] for x in ("seat", "robot", "mount")])
             rows, works = touch_rows(task, pairs[f"{prefix}human"])
             contact, working = np.array(rows, np.int32), np.array(works, np.float32)
         return ToolIndex(
@@ -367,12 +369,14 @@ def _index(model: mujoco.MjModel, task: Task, robot: RobotSpec, moving: tuple[st
     robot_joint = ids(o.mjOBJ_JOINT, [f"robot/{n}" for arm in arms for n in arm.joints])
     human_joint = ids(o.mjOBJ_JOINT, [f"human/{n}" for n in moving])
     lean = lean_links(task, moving)
+    mount = [f"mount/{g}" for g in robot.solid_mounts.get(task.seat.name, ())]
     torso = int(ids(o.mjOBJ_SITE, [f"robot/{robot.torso}"])[0])
     return Index(
         robot_joint=robot_joint,
         robot_qpos=model.jnt_qposadr[robot_joint],
         robot_dof=model.jnt_dofadr[robot_joint],
         robot_base=int(model.body_rootid[model.site_bodyid[torso]]),
+        mount=np.unique(model.geom_bodyid[ids(o.mjOBJ_GEOM, mount)]),
         torso_site=torso,
         tools=tuple(tool_index(i, arm) for i, arm in enumerate(arms)),
         robot_human=sensors["robot_human"],

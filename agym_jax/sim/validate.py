@@ -70,6 +70,16 @@ def check_robot(spec: mujoco.MjSpec, robot: RobotSpec, task: Task) -> None:
             f"{where} has no geom with {COLLISION!r} in its name, so the search for start placements would "
             f"see nothing of the robot. It has: {', '.join(geoms) or 'none with a name'}."
         )
+    _check_text(f"{robot.name}'s trunk", robot.trunk)
+    _check_text(f"{robot.name}'s near_mount", robot.near_mount)
+    _check_there(where, "geom", (*robot.trunk, *robot.near_mount), geoms)
+    for seat, names in robot.solid_mounts.items():
+        _check_text(f"{robot.name}'s solid_mounts[{seat!r}]", names)
+        if seat not in robot.mounts:
+            raise SpecError(
+                f"{robot.name}'s solid_mounts has {seat!r}, its mounts do not: "
+                f"{did_you_mean(seat, list(robot.mounts))}"
+            )
     for arm in robot.arms_for(task):
         _check_arm(where, spec, robot, arm)
         if task.tool is None:  # the hand is sensed as a tool would be

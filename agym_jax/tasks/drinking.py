@@ -11,6 +11,10 @@ tipped away from the person by less than a quarter turn, where AG's is less. Tow
 cup at the beginning of the episode; AG has a sign for Jaco and one for the others.
 DEVIATION(drinking-clock): ten physics steps of 10 ms, as in Feeding, in which the water takes 40 substeps of
 2.5 ms; AG takes 25 steps of 4 ms. Motors follow the same exponential in time, and a control step is 0.1 s.
+DEVIATION(cup-weight): the cup's 10 g and what is in it, 1 g a drop, weigh on the arm as in AG, where the motors' 1 N m are little
+beside the 0.5 N m of a full cup at 0.7 m. The weight is that at the beginning of a control step, and without the
+water's inertia: AG's is that of drops that push against the cup. Feeding's spoon and food, 18 g in AG where the motors reach 5 N m,
+weigh nothing here.
 DEVIATION(sip-speed): the speed of a drop is read before it vanishes; AG reads it afterwards, when it is 0.
 """
 
@@ -35,6 +39,8 @@ from agym_jax.tasks.shared import meals
 from agym_jax.tasks.shared.meals import Outcome
 
 _H = 0.5**0.5
+CUP_MASS, DROP_MASS = 0.01, 0.001  # AG drinking.py, world_creation.py [kg]
+GRAVITY = 9.81  # on the cup and the water [m/s^2], the same
 BOTTOM, TOP, RADIUS = -0.01, 0.115, 0.05
 """Ends along the cup's axis, from its origin, and radius of what counts as its inside [m]. AG drinking.py."""
 
@@ -63,6 +69,8 @@ class DrinkState:
     water: Particles
     drunk: Array  # how many drops                                              ()
     lost: Array  # drops that went non-finite, int32                            ()
+    held: Array  # drops inside of the cup                                      ()
+    centre_w: Array  # of the cup and those drops [m]                           (3,)
     side: Array  # 1 if the cup's z axis rises when it tips towards the person, -1 if it falls   ()
     mouth_pos_w: Array  # now [m]                                               (3,)
 
@@ -126,10 +134,14 @@ class Drinking:
         """A cup of water, as it has settled for this tilt."""
         tool = sensed.tool
         inside = child_pose(tool.pos_w, tool.quat_w, INSIDE.pos, INSIDE.quat)
+        water = fill(load_fill("cup"), *inside)
+        held, centre = held_by(water, tool.pos_w, tool.quat_w)
         return DrinkState(
-            water=fill(load_fill("cup"), *inside),
+            water=water,
             drunk=jnp.float32(0.0),
             lost=jnp.int32(0),
+            held=held,
+            centre_w=centre,
             side=side_of(tool.quat_w, sensed.mouth_pos_w - tool.pos_w),
             mouth_pos_w=sensed.mouth_pos_w,
         )
@@ -143,10 +155,14 @@ class Drinking:
             self.config, water, contact, mouth, sensed.tool.pos_w, sensed.tool.quat_w
         )
         count = lambda mask: jnp.sum(mask, dtype=jnp.float32)  # noqa: E731
+        water = water.remove(outcome.eaten | outcome.spilled | outcome.hit)
+        held, centre = held_by(water, sensed.tool.pos_w, sensed.tool.quat_w)
         state = DrinkState(
-            water=water.remove(outcome.eaten | outcome.spilled | outcome.hit),
+            water=water,
             drunk=state.drunk + count(outcome.eaten),
             lost=state.lost + contact.lost,
+            held=held,
+            centre_w=centre,
             side=state.side,
             mouth_pos_w=mouth,
         )
@@ -154,6 +170,10 @@ class Drinking:
             "drunk": count(outcome.eaten), "spilled": count(outcome.spilled), "hits": count(outcome.hit),
             "speed": outcome.speed,
         }  # fmt: skip
+
+    def load(self, state: DrinkState) -> tuple[Array, Array]:
+        """Weight of the cup and the water in it [N] (), and where it acts, world [m] (3,)."""
+        return GRAVITY * (CUP_MASS + DROP_MASS * state.held), state.centre_w
 
     def rewards(
         self, state: DrinkState, events: dict[str, Array], sensed: Sensed, action: Array
@@ -248,6 +268,23 @@ def in_cup(points_w: Array, cup_pos_w: Array, cup_quat_w: Array) -> Array:
     height = away @ up
     radius = jnp.linalg.norm(away - height[:, None] * up, axis=-1)
     return (height >= BOTTOM) & (height <= TOP) & (radius <= RADIUS)
+
+
+def held_by(water: Particles, cup_pos_w: Array, cup_quat_w: Array) -> tuple[Array, Array]:
+    """How many drops are inside of the cup (), and the centre of mass of it and them, world [m] (3,).
+
+    Args:
+        water: now.
+        cup_pos_w: [m] (3,).
+        cup_quat_w: wxyz (4,).
+    """
+    inside = (water.alive & in_cup(water.pos_w, cup_pos_w, cup_quat_w)).astype(jnp.float32)
+    held = jnp.sum(inside)
+    middle = cup_pos_w + 0.5 * (BOTTOM + TOP) * axis(cup_quat_w)
+    moment = CUP_MASS * middle + DROP_MASS * inside @ jnp.where(
+        inside[:, None] > 0, water.pos_w, 0.0
+    )
+    return held, moment / (CUP_MASS + DROP_MASS * held)
 
 
 def outcome_of(

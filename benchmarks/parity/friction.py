@@ -39,7 +39,7 @@ def pairs() -> dict[str, tuple[float, list[float]]]:
     found: dict[str, tuple[float, list[float]]] = {}
     for task, robot, active in itertools.product(TASKS.values(), ROBOTS.values(), (False, True)):
         scene = build_scene(task, robot, active)
-        for kind, names in contact_pairs(task, robot.arms_for(task), scene.moving).items():
+        for kind, names in contact_pairs(task, robot, scene.moving).items():
             one, other = kind.replace("/", "_").replace("tool2", "tool").split("_")
             seat = f"mattress in {task.name}" if task.name in BED else "wheelchair"
             what = {"human": "person", "self": "himself", "seat": seat}[other]

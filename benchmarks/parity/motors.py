@@ -20,7 +20,7 @@ import agym_jax
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.control import Controller
 from agym_jax.sim.scene import build_scene
-from agym_jax.tasks import TASKS
+from agym_jax.tasks import TASKS, drinking
 from benchmarks.parity import pressing
 from benchmarks.parity.row import Row, traces
 
@@ -44,7 +44,16 @@ class Arm:
         self.model = copy.copy(scene.model)
         self.model.body_pos[scene.index.robot_base] = AWAY
         self.data = mujoco.MjData(self.model)
+        self.task_name, self.tip = task_name, scene.index.tools[0].tip
         self.qpos = scene.index.robot_qpos
+
+    def load(self) -> np.ndarray:
+        """Torque of the empty cup about the joints, where there is one [N m] (n,)."""
+        if self.task_name != "Drinking":
+            return np.zeros(len(self.qpos))
+        mujoco.mj_kinematics(self.model, self.data)
+        weight, at = drinking.CUP_MASS * drinking.GRAVITY, self.data.site_xpos[self.tip]
+        return self.controller.load_torque(self.data, weight, at, np)
 
     def play(self, start: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """Joint angles at the start and after every control step [rad] (steps + 1, n).
@@ -60,8 +69,9 @@ class Arm:
         path = [np.array(start)]
         for action in actions:
             goal = np.asarray(self.controller.robot_goal(jnp.asarray(path[-1]), action))
+            load = self.load()
             for _ in range(self.control.frame_skip):
-                self.controller.motors.prepare(model, data, self.controller.aim(goal))
+                self.controller.motors.prepare(model, data, self.controller.aim(goal), besides=load)
                 mujoco.mj_step(model, data)
             path.append(data.qpos[self.qpos].copy())
         return np.array(path)
@@ -87,7 +97,7 @@ def held() -> tuple[float, float]:
         )
         start, spared = kept[f"{name}_q"][case], abs(action) < SPARED
         for _ in range(kept[f"{name}_force"].shape[1]):
-            data, _, _ = env.physics.step(data, episode, aim(episode, data.qpos, action))
+            data, _, _ = env.physics.step(data, episode, aim(episode, data, action))
         ours = data.qpos[env.scene.index.robot_qpos]
         for found, q in zip(moved, (end, ours), strict=True):
             found += abs(q - start)[spared].tolist()

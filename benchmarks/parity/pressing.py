@@ -62,7 +62,7 @@ def press(name: str, cases: Sequence[int] | np.ndarray) -> Press:
         episode = episode_of(env, name, case)
         data = env.physics.reset(env.physics.make_data(), episode)
         for t in range(steps):
-            targets = aim(episode, data.qpos, kept[f"{name}_action"][case])
+            targets = aim(episode, data, kept[f"{name}_action"][case])
             data, sums, motion = env.physics.step(data, episode, targets)
             tool = sense(data, sums, motion, episode).tool
             force[row, t] = tool.on_human

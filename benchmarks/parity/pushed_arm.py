@@ -66,7 +66,7 @@ def ours(masses: str, cases: Sequence[int] | None = None) -> Paths:
         hand = env.scene.model.body("human/right_hand").id
         angles, wrist, force = [kept["q"][case, 0]], [np.asarray(data.xpos)[hand].copy()], []
         for action in kept["actions"][case]:
-            data, sums, motion = env.physics.step(data, episode, aim(episode, data.qpos, action))
+            data, sums, motion = env.physics.step(data, episode, aim(episode, data, action))
             sensed = sense(data, sums, motion, episode)
             angles.append(np.array(data.qpos[env.scene.index.robot_qpos]))
             wrist.append(np.asarray(data.xpos)[hand].copy())

@@ -313,8 +313,8 @@ def test_bed_assets_have_the_names_that_tasks_use():
     assert (bed.geom_contype == 0).all()
     stand = mujoco.MjModel.from_xml_path(str(asset_path("furniture/nightstand.xml")))
     box = stand.geom("nightstand_collision")
-    assert box.pos[2] + box.size[2] == 0.0  # the robot stands on it
-    assert box.pos[2] - box.size[2] == -0.6  # and it on the floor
+    np.testing.assert_allclose(box.pos[2] + box.size[2], 0.073)  # the robot's foot is sunk into it
+    np.testing.assert_allclose(box.pos[2] - box.size[2], -0.6)  # and it stands on the floor
     for tool, mass, tip in (("wiper", 3.0, (0, 0, -0.0425)), ("scooper", 1.0, (-0.04, 0.05, 0))):
         model = mujoco.MjModel.from_xml_path(str(asset_path(f"tools/{tool}.xml")))
         assert model.body(tool).mass[0] == mass  # furniture.md sections 9 and 10

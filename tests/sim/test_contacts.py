@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import itertools
 
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ from agym_jax.tasks import TASKS
 
 WIPE, SCRATCH, JACO = TASKS["BedBathing"], TASKS["ScratchItch"], ROBOTS["Jaco"]
 LINK_OF = {f"human/{shape}": link for shape, link in body.SHAPES.items()}
-WIPER_PAIRS = contact_pairs(WIPE, JACO.arms_for(WIPE), ())["tool/human"]
+WIPER_PAIRS = contact_pairs(WIPE, JACO, ())["tool/human"]
 
 
 @pytest.mark.parametrize(
@@ -43,7 +45,7 @@ def test_friction_is_the_product_of_both_materials(task: str, kind: str, product
 def test_every_pair_of_a_model_has_the_friction_of_its_kind():
     for task, robot in itertools.product(TASKS.values(), ROBOTS.values()):
         model = build_scene(task, robot).model
-        touches = contact_pairs(task, robot.arms_for(task), task.human.moving(False))
+        touches = contact_pairs(task, robot, task.human.moving(False))
         assert sum(map(len, touches.values())) == model.npair
         for kind, pairs in touches.items():
             rows = [model.pair(f"{a}|{b}").id for a, b in pairs]
@@ -72,7 +74,7 @@ def test_rims_of_one_part_on_one_limb_are_one_contact():
     pads = [row for row, kinds in together.items() if {p for p, _ in kinds} == {"pad"}]
     assert len(pads) == 3 and [i for i, w in enumerate(working) if w] == pads
     # tools of one geom a part have a contact for each pair
-    pairs = contact_pairs(SCRATCH, JACO.arms_for(SCRATCH), ())["tool/human"]
+    pairs = contact_pairs(SCRATCH, JACO, ())["tool/human"]
     contacts = [(geom, LINK_OF[limb]) for geom, limb in pairs]
     assert touch_rows(SCRATCH, pairs)[0] == [
         list(dict.fromkeys(contacts)).index(x) for x in contacts
@@ -92,3 +94,42 @@ def test_contact_of_a_part_has_the_sum_of_forces_at_their_centre():
     assert tool.working[row] == 1.0 and row == tool.contact[forearm[0]]
     np.testing.assert_allclose(merged[row], 4.0)
     np.testing.assert_allclose(moment[row] / merged[row], (0.175, 0.0, 0.8), atol=1e-6)
+
+
+# -- robots that meet themselves and what they stand on ----------------------------------------
+
+
+def test_only_jaco_meets_itself_and_its_nightstand():
+    """Assistive Gym loads PR2 and Baxter without self-collision; Sawyer's arm meets its pedestal, see ``robots.sawyer``."""
+    for task, robot in itertools.product(TASKS.values(), ROBOTS.values()):
+        pairs = contact_pairs(task, robot, ())
+        assert bool(pairs["robot_robot"]) == (robot is JACO)
+        assert bool(pairs["robot_mount"]) == (robot is JACO and task.seat.name == "bed")
+
+
+@pytest.mark.parametrize(
+    ("angles", "other"),
+    [
+        # recorded in Assistive Gym: its hand is held off its upper arm with 30 N, its arm lies on the nightstand with 20 N
+        ((1.57, 1.03, -1.27, 0.70, -2.57, 1.19, -2.74), "robot/link_2_collision"),
+        ((2.85, 1.10, 1.48, 1.05, 0.62, 4.28, 0.30), "mount/nightstand_collision"),
+    ],
+)  # fmt: skip
+def test_jaco_meets_its_arm_and_its_nightstand_where_it_does_in_assistive_gym(angles, other):
+    scene = build_scene(TASKS["ArmManipulation"], JACO)
+    model, index = copy.copy(scene.model), scene.index
+    data = mujoco.MjData(model)
+    model.body_pos[[index.robot_base, *index.mount]] = base = (-0.92, 0.66, 0.6)
+    model.body_quat[index.robot_base] = (0.975, 0.0, 0.0, 0.224)
+    data.qpos[index.robot_qpos] = angles
+    mujoco.mj_kinematics(model, data)
+    assert data.xpos[index.mount[0]] == pytest.approx(base)
+    mine = [g for g in range(model.ngeom) if model.geom(g).name.startswith(("robot/", "tool/"))]
+    other = model.geom(other).id
+    paired = {frozenset(p) for p in zip(model.pair_geom1, model.pair_geom2, strict=True)}
+    near = [
+        mujoco.mj_geomDistance(model, data, g, other, 1.0, None)
+        for g in mine
+        if {g, other} in paired
+    ]
+    assert min(near) < 0.01

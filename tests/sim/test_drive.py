@@ -222,7 +222,7 @@ def test_a_torque_that_nobody_has_is_found(hidden: float):
     account = impulse.Account(motors, 1e-3)
     data.qfrc_applied[:] = hidden
     for _ in range(50):  # falls, and lies on the floor
-        account.before(data)
+        account.before(data, np.zeros(1))
         mujoco.mj_step(model, data)
         account.after(model, data)
         account.finish()

@@ -170,9 +170,7 @@ class _Shadow:
         d, index, motors = self.data, self.index, controller.motors
         for name in ("qpos", "qvel", "qacc_warmstart", "qfrc_bias"):
             getattr(d, name)[:] = np.asarray(getattr(before.data, name))
-        goal = np.asarray(
-            self.env.controller.targets(before.episode, before.data.qpos, action).goal
-        )
+        goal = np.asarray(controller.targets(before.episode, before.data, action).goal)
         for each in (motors, controller.human_motors):
             d.M[each.block.entries] = np.asarray(each.inertia(before.data._impl.M))
         held = jnp.asarray(before.data.qpos)[index.human_qpos]

@@ -68,7 +68,16 @@ def stick(tmp_path: Path) -> RobotSpec:
     robot = with_arm(
         joints=("turn",), end_effector="hand", tool_frame="hand", gripper=(), links=("hand_collision",)
     )  # fmt: skip
-    return dataclasses.replace(robot, name="Stick", model=str(path), torso="torso", rest={})
+    return dataclasses.replace(
+        robot,
+        name="Stick",
+        model=str(path),
+        torso="torso",
+        rest={},
+        trunk=(),
+        near_mount=(),
+        solid_mounts={},
+    )
 
 
 def changed(robot: RobotSpec, old: str, new: str) -> RobotSpec:
@@ -181,6 +190,19 @@ def _robot_motors(model: mujoco.MjModel) -> int:
 
 def test_the_stick_itself_is_fine(stick: RobotSpec):
     assert _robot_motors(compose(REACH, stick)) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"trunk": ("base_colision",)}, r"no geom 'base_colision'.*'base_collision'"),
+        ({"near_mount": "base_collision"}, r"near_mount is the text 'base_collision'"),
+        ({"mounts": {}, "solid_mounts": {"bed": ("top",)}}, r"solid_mounts has 'bed', its mounts do not"),
+    ],
+)  # fmt: skip
+def test_what_hand_and_arm_may_touch_of_the_robot_has_to_exist(stick: RobotSpec, changes, message):
+    with pytest.raises(SpecError, match=message):
+        compose(REACH, dataclasses.replace(stick, **changes))
 
 
 @pytest.mark.parametrize("field", ["links", "joints"])

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from meal_scene import (
@@ -28,8 +29,10 @@ from agym_jax import observe
 from agym_jax.math3d import rotation_matrix
 from agym_jax.matter.particles.checks import MatterError
 from agym_jax.robots import ROBOTS
+from agym_jax.sim.control import Controller
+from agym_jax.sim.scene import build_scene
 from agym_jax.tasks.drinking import DRINKING as TASK
-from agym_jax.tasks.drinking import DrinkState, in_cup, outcome_of, tilt_reward
+from agym_jax.tasks.drinking import DrinkState, axis, held_by, in_cup, outcome_of, tilt_reward
 
 advance = jax.jit(TASK.advance)
 CUP_AT = AIR["pos_w"]  # upright unless said
@@ -60,7 +63,7 @@ def state(places=None, **changes) -> DrinkState:
     water = replace(particles(many), alive=jnp.asarray(there))
     values = {
         "water": water, "drunk": jnp.float32(0), "lost": jnp.int32(0), "side": jnp.float32(1),
-        "mouth_pos_w": arrays(MOUTH),
+        "mouth_pos_w": arrays(MOUTH), "held": jnp.float32(0), "centre_w": arrays(CUP_AT),
     }  # fmt: skip
     return DrinkState(**values | changes)
 
@@ -308,3 +311,33 @@ def test_more_water_than_the_cup_holds_is_refused():
         replace(TASK, water=replace(TASK.water, count=5000))
     with pytest.raises(MatterError, match="could cross a wall"):
         replace(TASK, control=replace(TASK.control, time_step=0.05, frame_skip=2))
+
+
+# -- what the cup weighs -----------------------------------------------------------------------
+
+
+def test_cup_weighs_what_is_in_it():
+    up = np.asarray(axis(arrays(UPRIGHT)))
+    inside = [CUP_AT + 0.02 * up, CUP_AT + 0.04 * up]
+    drops = state([*inside, CUP_AT + np.array([0.3, 0.0, 0.0])])
+    held, centre = held_by(drops.water, arrays(CUP_AT), arrays(UPRIGHT))
+    assert float(held) == 2.0
+    expected = (10 * (CUP_AT + 0.0525 * up) + sum(inside)) / 12
+    np.testing.assert_allclose(centre, expected, atol=1e-6)
+    weight, point = TASK.load(replace(drops, held=held, centre_w=centre))
+    np.testing.assert_allclose(weight, 0.012 * 9.81, rtol=1e-6)
+    np.testing.assert_allclose(point, centre)
+
+
+@pytest.mark.parametrize("robot", ["PR2", "Sawyer"])
+def test_weight_acts_on_the_arm_that_holds_the_cup(robot: str):
+    scene = build_scene(TASK, ROBOTS[robot])
+    controller, model, index = Controller.of(scene, TASK, False), scene.model, scene.index
+    data = mujoco.MjData(model)
+    low, high = model.jnt_range[index.robot_joint].T
+    data.qpos[index.robot_qpos] = 0.6 * low + 0.4 * high
+    mujoco.mj_forward(model, data)
+    point, turn = data.site_xpos[index.tools[0].tip] + 0.05, np.zeros((3, model.nv))
+    mujoco.mj_jac(model, data, turn, None, point, index.tools[0].body)
+    expected = turn.T[index.robot_dof] @ [0.0, 0.0, -0.7]
+    np.testing.assert_allclose(controller.load_torque(data, 0.7, point, np), expected, atol=1e-6)

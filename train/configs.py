@@ -118,6 +118,17 @@ class LearnConfig:
     reward_scaling: float = 1.0
     """Constant factor on the reward, before normalize_reward."""
 
+    cost_limit: float | None = None
+    """Learn to be gentle: the mean cost of an episode must not exceed this. A step in which robot or tool press on a
+    region of the person's body harder than is comfortable costs 1, and up to 1 more for how far; 0.05 asks for at least
+    95 % gentle episodes. None: forces cost only what the task's reward says."""
+    cost_proportional: float = 1.0
+    """With cost_limit: proportional gain of the multiplier's controller."""
+    cost_integral: float = 0.05
+    """With cost_limit: integral gain, per update; the multiplier grows by so much where the cost is far too high."""
+    cost_derivative: float = 0.5
+    """With cost_limit: derivative gain, per update, while the cost rises."""
+
     policy_hidden: tuple[int, ...] = (64, 64)
     """Hidden layers of the policy."""
     value_hidden: tuple[int, ...] = (128, 128)
@@ -155,6 +166,10 @@ class LearnConfig:
         for name in ("gamma", "gae_lambda", "entropy_decay_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"{name} must be between 0 and 1, got {getattr(self, name)}.")
+        for name in ("cost_limit", "cost_proportional", "cost_integral", "cost_derivative"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < math.inf:
+                raise ConfigError(f"{name} must be at least 0 and finite, got {value}.")
         if self.num_env_steps > MAX_ENV_STEPS:
             raise ConfigError(
                 f"num_env_steps must be at most {MAX_ENV_STEPS}, got {self.num_env_steps}."

@@ -29,14 +29,15 @@ from .evaluation.statistics import bootstrap_interval, iqm
 from .learning.agents import Agents
 from .learning.seeds import Lane
 from .runs.progress import Progress, for_terminal
-from .runs.result import TrainResult, summary
+from .runs.result import SeedResult, TrainResult, summary
 from .runs.session import resolve_config, run_session
 
 SWEPT = (
     "lr", "use_linear_lr_decay", "gamma", "gae_lambda", "clip_param", "value_loss_coef", "entropy_coef",
     "entropy_decay_share", "max_grad_norm", "eps", "reward_scaling", "clip_value_loss", "recompute_advantages",
+    "cost_limit", "cost_proportional", "cost_integral", "cost_derivative",
 )  # fmt: skip
-"""Settings that are arguments of the compiled update."""
+"""Settings that are arguments of the compiled update. A sweep without ``cost_limit`` has none."""
 Setting = dict[str, float]
 
 
@@ -98,6 +99,7 @@ def name_of(setting: Mapping[str, float]) -> str:
 def lanes_of_sweep(config: LearnConfig, settings: Sequence[Setting], num_seeds: int) -> list[Lane]:
     """The trainings of a sweep: every setting with the same seeds."""
     kinds = {x.name: type(getattr(config, x.name)) for x in dataclasses.fields(config)}
+    kinds["cost_limit"] = float  # None where there is none
     return [
         Lane(f"{name_of(setting)}/seed_{seed}", seed, changed)
         for setting in settings
@@ -122,6 +124,8 @@ def sweep(
         DivergedError: all of them diverged.
     """
     refuse_active_human(env, config.allow_joint_observation)
+    if "cost_limit" in settings[0]:  # the program has a limit, its value is an argument
+        config = dataclasses.replace(config, cost_limit=settings[0]["cost_limit"])
     config, mesh = resolve_config(env, config)
     agents = Agents(config, env, ("robot" if len(env.action_sizes) == 1 else "joint",))
     lanes = lanes_of_sweep(config, settings, num_seeds)
@@ -140,12 +144,19 @@ def rank(result: TrainResult, settings: Sequence[Setting], num_seeds: int) -> li
         ranked.append({
             "setting": setting, "success_iqm": iqm(success), "low": low, "high": high,
             "worst": float(success.min()), "success_of_seeds": ends,
-            "return_iqm": iqm(returns) if returns else None,
+            "return_iqm": iqm(returns) if returns else None, **_gentle(seeds),
             "diverged": sum(bool(found.stopped) for found in seeds),
         })  # fmt: skip
     return sorted(
         ranked, key=lambda x: (-x["success_iqm"], -x["worst"], -(x["return_iqm"] or -1e9))
     )
+
+
+def _gentle(seeds: Sequence[SeedResult]) -> dict[str, float]:
+    """Interquartile means of gentle success and of the mean peak force [N]; nothing where it is not measured."""
+    curves = [found.curve for found in seeds if found.curve and "gentle" in found.curve[-1]]
+    names = ("gentle", "peak") if curves else ()
+    return {f"{name}_iqm": iqm([_last(curve, name) for curve in curves]) for name in names}
 
 
 def _last(curve: Sequence[Mapping[str, Any]], name: str) -> float:
@@ -159,6 +170,8 @@ def table(ranked: Sequence[Mapping[str, Any]]) -> str:
     for x in ranked:
         lost = f"   {x['diverged']} diverged" if x["diverged"] else ""
         returned = "" if x["return_iqm"] is None else f"{x['return_iqm']:9.1f}"
+        if "gentle_iqm" in x:
+            returned += f"   gentle {x['gentle_iqm']:6.1%}, peak {x['peak_iqm']:5.1f} N"
         lines.append(
             f"{x['success_iqm']:7.1%} ({x['low']:.1%} to {x['high']:.1%}) {x['worst']:7.1%} "
             f"{returned}   {name_of(x['setting'])}{lost}"

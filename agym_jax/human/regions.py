@@ -93,8 +93,24 @@ class Comfortable(Protocol):
 class RegionForces:
     """Normal force of robot and tools on each of ``REGIONS`` during one control step."""
 
-    mean: Array  # over its physics steps [N]                                   (n_regions,)
-    peak: Array  # the largest of its physics steps [N]                         (n_regions,)
+    both: (
+        Array  # in one array, as each that enters C MuJoCo's stages costs time (..., 2, n_regions)
+    )
+
+    @classmethod
+    def of(cls, mean: Any, peak: Any, xp: Any = jnp) -> RegionForces:
+        """From means and peaks (..., n_regions)."""
+        return cls(xp.stack([mean, peak], axis=-2))
+
+    @property
+    def mean(self) -> Array:
+        """Over the physics steps of the control step [N] (..., n_regions)."""
+        return self.both[..., 0, :]
+
+    @property
+    def peak(self) -> Array:
+        """The largest of its physics steps [N] (..., n_regions)."""
+        return self.both[..., 1, :]
 
     def of_comfort(self, comfort: Any) -> Array:
         """The largest share of its comfort limit that a region bears; above 1 it is exceeded ().
@@ -111,7 +127,7 @@ class RegionForces:
 
 def no_forces() -> RegionForces:
     """Nobody touches the person."""
-    return RegionForces(jnp.zeros(len(REGIONS)), jnp.zeros(len(REGIONS)))
+    return RegionForces(jnp.zeros((2, len(REGIONS))))
 
 
 def comfort_limits(task: Any) -> np.ndarray:

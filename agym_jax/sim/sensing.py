@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 
 from agym_jax.human.anthropometry import Dims
-from agym_jax.human.regions import REGIONS, RegionForces
+from agym_jax.human.regions import REGIONS, RegionForces, no_forces
 from agym_jax.math3d import capsule_gap, child_quat
 from agym_jax.sense import Motion, Sensed, ToolSensed
 from agym_jax.sim.index import Index, ToolIndex
@@ -41,8 +41,7 @@ class ContactSums:
 
     tools: tuple[ToolContactSums, ...]
     robot_human: Array  # [N]                                               ()
-    regions: Array  # of all on each region of the person [N]               (n_regions,)
-    peaks: Array  # no sum: the largest of a physics step [N]               (n_regions,)
+    regions: RegionForces  # of all: sums, and no sums but peaks
 
 
 class PoseSample(NamedTuple):
@@ -59,7 +58,7 @@ def no_contacts(index: Index) -> ContactSums:
     zero = jnp.float32(0.0)
     counts = [len(t.on_human) for t in index.tools]
     sums = tuple(ToolContactSums(jnp.zeros(n), jnp.zeros((n, 3)), zero) for n in counts)
-    return ContactSums(sums, zero, jnp.zeros(len(REGIONS)), jnp.zeros(len(REGIONS)))
+    return ContactSums(sums, zero, no_forces())
 
 
 def add_contacts(index: Index, sums: ContactSums, sensordata: Array) -> ContactSums:
@@ -72,7 +71,8 @@ def add_contacts(index: Index, sums: ContactSums, sensordata: Array) -> ContactS
     """
     new = read_contacts(index, sensordata)
     total = jax.tree.map(jnp.add, sums, new)
-    return replace(total, peaks=jnp.maximum(sums.peaks, new.peaks))
+    peaks = jnp.maximum(sums.regions.peak, new.regions.peak)
+    return replace(total, regions=RegionForces.of(total.regions.mean, peaks))
 
 
 def total_contacts(readings: ContactSums) -> ContactSums:
@@ -82,7 +82,8 @@ def total_contacts(readings: ContactSums) -> ContactSums:
         readings: from ``read_contacts``, with a leading axis of physics steps.
     """
     total = jax.tree.map(lambda x: x.sum(axis=0), readings)
-    return replace(total, peaks=readings.peaks.max(axis=0))
+    peaks = readings.regions.peak.max(axis=0)
+    return replace(total, regions=RegionForces.of(total.regions.mean, peaks, np))
 
 
 def read_contacts(index: Index, sensordata: Any, xp: Any = jnp) -> ContactSums:
@@ -110,7 +111,7 @@ def read_contacts(index: Index, sensordata: Any, xp: Any = jnp) -> ContactSums:
     touch = xp.abs(sensordata[..., index.touch])
     regions = xp.sum(touch[..., None] * belongs, axis=-2)
     tools = tuple(read(tool) for tool in index.tools)
-    return ContactSums(tools, total(index.robot_human), regions, regions)
+    return ContactSums(tools, total(index.robot_human), RegionForces.of(regions, regions, xp))
 
 
 def sample_poses(index: Index, data: Any, xp: Any = jnp) -> PoseSample:
@@ -182,7 +183,7 @@ def sense(
         link_quat_w={name: jnp.asarray(data.xquat)[b] for name, b in bodies.items()},
         dims=dims,
         motion=motion,
-        regions=RegionForces(contacts.regions / n_steps, contacts.peaks),
+        regions=RegionForces.of(contacts.regions.mean / n_steps, contacts.regions.peak),
     )
 
 

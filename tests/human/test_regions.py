@@ -32,7 +32,7 @@ from agym_jax.tasks import TASKS
 def forces(mean=None, peak=None):
     """On some regions [N], the others untouched; a peak is at least the mean."""
     row = lambda given: np.array([(given or {}).get(name, 0.0) for name in NAMES])  # noqa: E731
-    return RegionForces(row(mean), np.maximum(row(mean), row(peak)))
+    return RegionForces.of(row(mean), np.maximum(row(mean), row(peak)), np)
 
 
 def test_every_shape_of_the_body_belongs_to_one_region():
@@ -127,7 +127,7 @@ def test_contacts_of_c_mujoco_press_on_the_region_that_they_touch(scratcher, sha
         for limb in touched:  # not of what touches the wheelchair
             expected[REGION_OF[limb]] += force[0]
     found = read_contacts(index, data.sensordata, np)
-    np.testing.assert_allclose(found.regions, expected, rtol=1e-9)
+    np.testing.assert_allclose(found.regions.mean, expected, rtol=1e-9)
     assert expected[NAMES.index(region)] > 0.1
 
 
@@ -142,7 +142,9 @@ def test_means_and_peaks_of_a_control_step(scratcher):
     for row in rows:
         total = add_contacts(index, total, jnp.asarray(row))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), sums, total)
-    peaks, means = (dict(zip(NAMES, x, strict=True)) for x in (sums.peaks, sums.regions / 5))
+    peaks, means = (
+        dict(zip(NAMES, x, strict=True)) for x in (sums.regions.peak, sums.regions.mean / 5)
+    )
     assert {k: v for k, v in peaks.items() if v} == {"forearm": 7.0, "chest": 1.5}
     assert {k: float(v) for k, v in means.items() if v} == pytest.approx(
         {"forearm": 2.4, "chest": 0.3}

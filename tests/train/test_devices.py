@@ -23,10 +23,12 @@ import dataclasses, json
 import jax, jax.numpy as jnp, numpy as np
 from jax.sharding import PartitionSpec as P
 from fake_pair_env import FakePairEnv
+from fake_press_env import FakePairPressEnv
 from train.configs import CoopConfig, PPOConfig
 from train.learning.agents import Agents
 from train.learning.ppo import Hyper
-from train.learning.rollout import collect, critic_obs, init_rollout
+from train.learning.constraint import record_costs
+from train.learning.rollout import collect, critic_obs, init_rollout, record_step
 from train.learning.seeds import SideBySide, lane_keys, lanes_of
 from train.learning.sharding import AXIS, device_mesh
 
@@ -39,6 +41,8 @@ cases = {
     "two agents": Agents(CoopConfig(**SETTINGS), env, PAIR),
     "central critic": Agents(CoopConfig(**SETTINGS, central_critic=True), env, PAIR),
 }
+press = FakePairPressEnv()
+cases["cost limit"] = Agents(CoopConfig(**SETTINGS, cost_limit=0.5), press, PAIR)
 for name in ("one agent", "two agents"):
     single = cases[name]
     lanes = lanes_of(dataclasses.replace(single.config, num_seeds=2))
@@ -57,12 +61,14 @@ for name, agents in cases.items():
         x = x.reshape(*shape[:axis], seeds, 2, -1, *shape[axis + 1:])
         return jnp.swapaxes(x, axis, axis + 1).reshape(shape)
 
-    venv = env.vectorize(8 * seeds)
+    limited = agents.config.cost_limit is not None
+    venv = (press if limited else env).vectorize(8 * seeds)
     learner = jax.jit(agents.init)(keys(0))
     rollout = init_rollout(venv, keys(1), True)
     rollout, batch, _ = jax.jit(lambda rollout: collect(
         lambda obs, key: agents.act(learner, obs, key), venv, rollout, keys(2),
-        num_steps=30, gamma=0.99, reward_scaling=1.0))(rollout)
+        num_steps=30, gamma=0.99, reward_scaling=1.0,
+        record=record_costs if limited else record_step))(rollout)
     key = keys(3)
     hyper = agents.hyper(1000)
 
@@ -239,7 +245,7 @@ def piped(code: str, **options) -> subprocess.Popen:
 @pytest.mark.slow
 def test_an_update_on_two_devices_is_the_update_on_one():
     found = last_line(piped(SAME_UPDATE, env=TWO))
-    assert len(found) == 5
+    assert len(found) == 6
     for name, gaps in found.items():
         assert gaps["all"] < 2e-4 and gaps["losses"] < 2e-4, (name, gaps)
         assert gaps["moved"] > 1e-2 and gaps["half"] > 1e-3, (name, gaps)

@@ -23,6 +23,7 @@ from agym_jax.policy.networks import Architecture, make_networks, mode_action, s
 from agym_jax.policy.policy import Policy, read_policy
 
 from ..configs import LearnConfig
+from .constraint import COST_LOSSES, SHARED
 from .ppo import (
     LOSSES,
     AgentState,
@@ -113,6 +114,7 @@ class Agents:
     Attributes:
         trainer: the command that trains so, as in files and messages.
         losses: names of the scalars that ``learn`` returns.
+        episode_length: control steps of an episode.
         axes: the leading axes of the learner: none, see ``train.learning.seeds``.
 
     Raises:
@@ -126,7 +128,10 @@ class Agents:
         self.agents = [_make_agent(config, env, name) for name in names]
         self.trainer = "ppo" if len(names) == 1 else "coop"
         learning = [agent.name for agent in self.agents if not agent.frozen]
-        self.losses = tuple(self._loss(name, loss) for name in learning for loss in LOSSES)
+        self.constrained = config.cost_limit is not None
+        scalars = (*LOSSES, *(COST_LOSSES if self.constrained else ()))
+        losses = (self._loss(name, loss) for name in learning for loss in scalars)
+        self.losses, self.episode_length = tuple(dict.fromkeys(losses)), env.episode_length
         self.axes: tuple[int, ...] = ()
 
     def init(self, key: jax.Array) -> LearnerState:
@@ -134,7 +139,8 @@ class Agents:
         key, *keys = self._split(key, 1)
         states = {}
         for agent, key_agent in zip(self.agents, keys or [key], strict=True):
-            state, rest = init_agent(agent.arch, key_agent, agent.critic_size)
+            constrained = self.constrained and not agent.frozen
+            state, rest = init_agent(agent.arch, key_agent, agent.critic_size, constrained)
             states[agent.name] = _start_from(state, agent.start) if agent.start else state
             key = key if keys else rest
         return LearnerState(states, key)
@@ -201,7 +207,7 @@ class Agents:
 
     def hyper(self, total_steps: float) -> Hyper:
         """The hyper-parameters of a run of so many environment steps."""
-        return Hyper.of(self.config, total_steps)
+        return Hyper.of(self.config, total_steps, self.episode_length)
 
     def of_seeds(self, learner: LearnerState) -> list[LearnerState]:
         """The learner of each seed: here of the only one."""
@@ -227,6 +233,7 @@ class Agents:
     def compatibility(self) -> dict[str, Any]:
         """Name -> value of what a checkpoint must agree in, besides the environment, for JSON."""
         agreed: dict[str, Any] = {"central_critic": getattr(self.config, "central_critic", False)}
+        agreed["constrained"] = self.constrained or None  # older checkpoints do not tell
         for agent in self.agents:
             agreed[f"{agent.name}.critic_size"] = agent.critic_size
             for name, value in vars(agent.arch).items():
@@ -243,8 +250,8 @@ class Agents:
         return [key] if count == 1 else jax.random.split(key, count + more)
 
     def _loss(self, agent: str, name: str) -> str:
-        """Name of a loss in the curve."""
-        return name if len(self.agents) == 1 else f"{agent}/{name}"
+        """Name of a loss in the curve; what is the same for all agents has no agent in it."""
+        return name if len(self.agents) == 1 or name in SHARED else f"{agent}/{name}"
 
 
 def _make_agent(config: LearnConfig, env: Any, name: str) -> Agent:

@@ -4,7 +4,7 @@ Everything here is pure. An update makes ``ppo_epoch`` passes of mini-batch grad
 estimates advantages and targets anew before each of them, with the values of then, so that what is known of a
 reward travels back by more than one rollout per update (Andrychowicz et al. 2021, "What matters in on-policy
 reinforcement learning?"). Where several devices share the environments (``axis``), each has a part of the batch;
-gradients and statistics are those of all of it.
+gradients and statistics are those of all of it. With a cost limit, what is learned from besides is in ``constraint``.
 
 DEVIATION(time-limit-bootstrap): Assistive Gym's trainer takes the time limit for a terminal state. Its episodes
 end by their time limit, which says nothing about what the state is worth, so a truncated step bootstraps here
@@ -13,7 +13,6 @@ with the value of the true last observation.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -30,6 +29,13 @@ from agym_jax.policy.networks import STD_MIN, Architecture, init_policy, make_ne
 from agym_jax.state import strong
 
 from ..configs import LearnConfig
+from .advantage import compute_gae, values_of
+from .constraint import (
+    ConstraintHyper,
+    init_constraint,
+    learn_constraint,
+    penalised,
+)
 from .rollout import Batch
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
@@ -58,14 +64,16 @@ class Hyper:
     clip_value_loss: Any  # 1: clip the change of the value prediction too
     recompute_advantages: Any  # 1: before every pass over the data, with the values of then
     learns: Any  # 0: one of several trainings that has been stopped
+    constraint: ConstraintHyper | None = None  # None without a cost limit
 
     @classmethod
-    def of(cls, config: LearnConfig, total_steps: float) -> Hyper:
+    def of(cls, config: LearnConfig, total_steps: float, episode_length: int = 1) -> Hyper:
         """Those of a configuration.
 
         Args:
             config: resolved settings.
             total_steps: of the run.
+            episode_length: steps of an episode; of no matter without a cost limit.
         """
         share = np.float32(config.entropy_decay_share)
         values = {
@@ -87,7 +95,8 @@ class Hyper:
             "recompute_advantages": bool(config.recompute_advantages),
             "learns": 1.0,
         }
-        return cls(**{name: np.float32(value) for name, value in values.items()})
+        numbers = {name: np.float32(value) for name, value in values.items()}
+        return cls(**numbers, constraint=ConstraintHyper.of(config, episode_length))
 
 
 @jax.tree_util.register_dataclass
@@ -102,6 +111,7 @@ class AgentState:
     env_steps: jax.Array  # environment steps so far; the learning rate follows it    ()
     updates: jax.Array  # updates so far    ()
     critic_normalizer: Any = None  # of what the value function reads; None where that is the same
+    constraint: Any = None  # train.learning.constraint.ConstraintState; None without a cost limit
 
 
 def architecture(config: LearnConfig, observation_size: int, action_size: int) -> Architecture:
@@ -124,7 +134,7 @@ def make_optimizer(max_grad_norm: Any = 0.5, eps: Any = 1e-5) -> optax.GradientT
 
 
 def init_agent(
-    arch: Architecture, key: jax.Array, critic_size: int | None = None
+    arch: Architecture, key: jax.Array, critic_size: int | None = None, constrained: bool = False
 ) -> tuple[AgentState, jax.Array]:
     """An agent that has seen nothing, and a random key for what comes after.
 
@@ -132,6 +142,7 @@ def init_agent(
         arch: networks.
         key: random key.
         critic_size: size of what the value function reads; None if it reads what the policy reads.
+        constrained: whether it learns under a cost limit.
     """
     networks = make_networks(arch, critic_size)
     key_policy, key_value, key = jax.random.split(key, 3)
@@ -148,62 +159,11 @@ def init_agent(
         env_steps=jnp.zeros((), jnp.uint32),
         updates=jnp.zeros((), jnp.int32),
         critic_normalizer=None if critic_size is None else statistics(jnp.zeros(critic_size)),
+        constraint=init_constraint(networks, make_optimizer(), key_value) if constrained else None,
     )
     return strong(
         jax.tree.map(jnp.asarray, agent)
     ), key  # Brax leaves a Python number in its statistics
-
-
-def compute_gae(
-    rewards: jax.Array,
-    values: jax.Array,
-    next_values: jax.Array,
-    done: jax.Array,
-    gamma: jax.Array | float,
-    gae_discount: jax.Array | float,
-) -> jax.Array:
-    """Generalised advantage estimation.
-
-    Args:
-        rewards: reward of each step    (T, B).
-        values: value of the observation that each step started from    (T, B).
-        next_values: value of what each step led to, before any reset: 0 after a termination, the
-            value of the last observation after a truncation    (T, B).
-        done: 1 where an episode ended, either way    (T, B).
-        gamma: discount.
-        gae_discount: gamma times lambda.
-
-    Returns:
-        Advantages (T, B); advantages + values are the targets of the value function.
-    """
-    deltas = rewards + gamma * next_values - values
-
-    def back(advantage: jax.Array, step: tuple) -> tuple[jax.Array, jax.Array]:
-        delta, done = step
-        advantage = delta + gae_discount * (1 - done) * advantage
-        return advantage, advantage
-
-    _, advantages = jax.lax.scan(back, jnp.zeros_like(deltas[0]), (deltas, done), reverse=True)
-    return advantages
-
-
-def values_of(
-    value: Callable[[jax.Array], jax.Array], batch: Batch, last: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Values that the steps of a batch started from and led to.
-
-    Args:
-        value: value function, (..., critic observation) -> (...).
-        batch: a rollout of T steps of B environments, in the agent's own view.
-        last: what the value function reads after the rollout    (B, critic observation).
-
-    Returns:
-        ``values`` and ``next_values`` of ``compute_gae``    (T, B) each.
-    """
-    read = batch.obs if batch.critic_obs is None else batch.critic_obs
-    values = value(jnp.concatenate([read, last[None]]))
-    final = jnp.where(batch.truncation > 0, value(batch.final_critic_obs), 0.0)
-    return values[:-1], jnp.where(batch.done > 0, final, values[1:])
 
 
 def ppo_loss(
@@ -292,7 +252,7 @@ def learn(
         axis: name of the axis of devices that each have a part of the batch.
 
     Returns:
-        State after, and the mean of each of ``LOSSES``.
+        State after, and the mean of each of ``LOSSES``; with a cost limit also of ``COST_LOSSES``.
     """
 
     def mean(tree: Any) -> Any:
@@ -321,16 +281,29 @@ def learn(
         )
         centred = advantage - mean(advantage.mean())
         scale = jnp.sqrt(mean(jnp.mean(centred**2))) + 1e-5
-        return flat({"value": values, "target": advantage + values, "advantage": centred / scale})
+        used = penalised(centred / scale, penalty, mean)
+        return flat({"value": values, "target": advantage + values, "advantage": used})
 
+    optimizer = make_optimizer(hyper.max_grad_norm, hyper.eps)
+    progress = agent.env_steps.astype(jnp.float32) / hyper.total_steps
+    rate = hyper.lr * jnp.where(hyper.lr_decays > 0, jnp.maximum(0.0, 1.0 - progress), 1.0)
+    constraint, penalty, costs = learn_constraint(
+        agent.constraint,
+        batch,
+        last,
+        key,
+        hyper,
+        config,
+        partial(networks.value_network.apply, statistics),
+        optimizer,
+        rate,
+        mean,
+    )
     first = estimate(agent.params.value)
     data = {"obs": batch.obs, "raw_action": batch.raw_action, "log_prob": batch.log_prob}
     if batch.critic_obs is not None:
         data["critic_obs"] = batch.critic_obs
     data = flat(data)
-    optimizer = make_optimizer(hyper.max_grad_norm, hyper.eps)
-    progress = agent.env_steps.astype(jnp.float32) / hyper.total_steps
-    rate = hyper.lr * jnp.where(hyper.lr_decays > 0, jnp.maximum(0.0, 1.0 - progress), 1.0)
     entropy_coef = hyper.entropy_coef * jnp.maximum(0.0, 1.0 - progress * hyper.entropy_fade)
     gradient = jax.grad(ppo_loss, has_aux=True)
 
@@ -373,5 +346,6 @@ def learn(
         env_steps=agent.env_steps + jnp.uint32(batch_steps(batch, axis)),
         updates=agent.updates + 1,
         critic_normalizer=critic_normalizer,
+        constraint=constraint,
     )
-    return agent, mean({name: jnp.mean(value) for name, value in scalars.items()})
+    return agent, mean({name: jnp.mean(value) for name, value in scalars.items()}) | costs

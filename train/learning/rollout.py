@@ -56,6 +56,7 @@ class Batch:
     critic_obs: (
         jax.Array | None
     )  # None where the value function reads obs    (T, B, critic observation)
+    cost: jax.Array | None = None  # with a cost limit, see constraint.py    (T, B)
 
 
 def with_privileged(obs: jax.Array, privileged_obs: jax.Array | None) -> jax.Array:
@@ -208,6 +209,7 @@ def collect(
     gamma: jax.Array | float,
     reward_scaling: jax.Array | float,
     execution: Execution = ONE_PROGRAM,
+    record: Callable[..., tuple[RolloutState, Totals, Batch]] = record_step,
 ) -> tuple[RolloutState, Batch, Totals]:
     """Step all environments ``num_steps`` times with the current policies.
 
@@ -220,12 +222,13 @@ def collect(
         gamma: discount, for the running discounted return.
         reward_scaling: factor on the reward.
         execution: how the loop runs.
+        record: takes note of a step, as ``record_step`` does.
 
     Returns:
         The rollout state afterwards, the batch, and sums over all steps (``step/*``) and over all
         episodes that ended and were seen from their start (``episode/*``), () or (seeds,) each.
     """
-    record = execution.compile(record_step)
+    record = execution.compile(record)
 
     def step(carry: tuple[RolloutState, Totals], key: jax.Array) -> tuple[tuple, Batch]:
         rollout, totals = carry

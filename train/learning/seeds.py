@@ -111,7 +111,8 @@ class SideBySide:
 
     def hyper(self, total_steps: float) -> Hyper:
         """The hyper-parameters of all seeds, NumPy arrays (seeds,) each."""
-        each = [Hyper.of(lane.config, total_steps) for lane in self.lanes]
+        length = self.single.episode_length
+        each = [Hyper.of(lane.config, total_steps, length) for lane in self.lanes]
         return jax.tree.map(lambda *x: np.stack(x), *each)
 
     def of_seeds(self, learner: LearnerState) -> list[LearnerState]:

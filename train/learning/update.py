@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from ..configs import LearnConfig
 from .agents import Agents, LearnerState
+from .constraint import record_costs
 from .execution import ONE_PROGRAM, Execution
 from .ppo import Hyper
 from .rollout import (
@@ -23,6 +24,7 @@ from .rollout import (
     collect,
     critic_obs,
     fold_in,
+    record_step,
     split_keys,
     zero_totals,
 )
@@ -52,6 +54,7 @@ def make_updates(
         updates: those of ``train.learning.rollout`` and ``loss/*``. ``count`` (int32) and ``hyper`` are
         arguments of the program: runs of every length and learning rate share one compilation.
     """
+    record = record_step if config.cost_limit is None else record_costs
     act, learn = execution.compile(agents.act), execution.compile(agents.learn)
 
     def run(
@@ -72,6 +75,7 @@ def make_updates(
                 gamma=hyper.gamma,
                 reward_scaling=hyper.reward_scaling,
                 execution=execution,
+                record=record,
             )
             last = critic_obs(rollout.env_state)
             more = () if axis is None else (axis,)

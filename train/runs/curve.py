@@ -12,10 +12,13 @@ from agym_jax.errors import BufferOverflowError
 
 from ..errors import DivergedError
 from ..evaluation.statistics import bootstrap_interval, iqm
+from ..learning.constraint import SHARED
 
 Row = dict[str, Any]
 SCORES = ("return", "success", "gentle", "force", "return_per_step")
 """Columns that are combined over seeds by their interquartile mean."""
+PLAIN = tuple(f"loss/{name}" for name in SHARED)
+"""What learning under a limit tells, which is no loss."""
 
 
 def make_rows(
@@ -72,7 +75,7 @@ def make_row(totals: Mapping[str, Any], updates: int, samples: int, episode_leng
         ``episodes, return, return_std, success, force, length`` of the episodes that ended (None where none did),
         where the environment measures it ``gentle`` (share of successes without a step above the comfort limit) and
         ``peak`` (mean of the episodes' largest forces [N]), ``return_per_step`` (mean reward of a step times the episode length),
-        environment steps of ``nan`` and ``overflow``, means of the environment's named metrics, losses.
+        with a cost limit ``cost`` (mean of an episode) and ``multiplier``, environment steps of ``nan`` and ``overflow``, means of the environment's named metrics, losses.
     """
     value = {name: float(total) for name, total in totals.items()}
     episodes = value["episode/episodes"]
@@ -93,7 +96,7 @@ def make_row(totals: Mapping[str, Any], updates: int, samples: int, episode_leng
         if name.startswith("step/") and name not in done:
             row[name.removeprefix("step/")] = total / samples
         if name.startswith("loss/"):
-            row[name] = total / updates
+            row[name.removeprefix("loss/") if name in PLAIN else name] = total / updates
     return row
 
 

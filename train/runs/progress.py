@@ -70,6 +70,8 @@ class _Latest:
             parts.append(f"success {self.known['success']:.0%}{spread}")
             if "gentle" in self.known:
                 parts.append(f"gentle {self.known['gentle']:.0%}")
+        if "cost" in row:
+            parts.append(f"cost {row['cost']:.2g}  multiplier {row['multiplier']:.2g}")
         if row["nan_total"]:
             parts.append(f"NaN {row['nan_total']:.0f}")
         return "  ".join(parts)

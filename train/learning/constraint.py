@@ -1,0 +1,224 @@
+"""Learning under a limit: PPO with a Lagrange multiplier, which a PID controller moves.
+
+The cost of a control step is 0 up to the comfort limit of what is touched (``agym_jax.human.regions``). Above it, the cost is 1, and up
+to 1 more for how far: 1.5 at one and a half times the limit, 2 from twice the limit on. A policy that presses far too hard thus
+gains by pressing less hard, and as every step above the limit costs at least 1, the mean cost of an episode is never less
+than the share of episodes that are not gentle: a limit of 0.05 asks for 95 % of them, or more.
+
+The policy learns from the advantage ``A_reward - multiplier * A_cost``, both of unit variance, so that a multiplier of 1 weighs them alike
+however rare costs have become. ``A_cost`` comes from a value function of the cost, with the architecture and the learning
+rate of the other. The multiplier is set before every update by a PID controller (Stooke, Achiam and Abbeel 2020, "Responsive safety in
+reinforcement learning by PID Lagrangian methods"): the integral finds its level, the proportional part keeps that from
+swinging, the derivative answers to a cost that rises.
+
+Two things are not as in that paper. The controller's error is ``(cost - limit) / (cost + limit)``, within [-1, 1]: at first the cost of an
+episode can be a thousand limits, and an integral of the difference would take thousands of updates to unwind. And the sum of both
+advantages is scaled to unit variance, which takes the place of a division by ``1 + multiplier``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from ..configs import LearnConfig
+from ..errors import ConfigError
+from .advantage import compute_gae, values_of
+from .rollout import COMFORT_KEY, Batch, RolloutState, Totals, record_step
+
+SHARED = ("cost", "multiplier")
+"""Scalars that are the same for all agents: cost of an episode in the update, and the multiplier."""
+COST_LOSSES = (*SHARED, "cost_value_loss")
+"""Names of the scalars that learning under a limit tells besides."""
+SMOOTHING = 0.1
+"""Share of the newest update in the cost that the controller sees: an update of 20,000 steps has some ten costs near the limit."""
+LARGEST_MULTIPLIER = 100.0
+LEAST_SCALE = 0.05
+"""Deviation of cost advantages below which they are not scaled up: there is nothing to learn from but the value function's errors."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ConstraintHyper:
+    """Numbers of a cost limit that are arguments of the compiled update, float32, () or (seeds,)."""
+
+    limit: Any  # mean cost of an episode
+    episode_length: Any  # control steps
+    proportional: Any
+    integral: Any
+    derivative: Any
+
+    @classmethod
+    def of(cls, config: LearnConfig, episode_length: int) -> ConstraintHyper | None:
+        """Those of a configuration; None if it has no cost limit."""
+        if config.cost_limit is None:
+            return None
+        gains = (config.cost_proportional, config.cost_integral, config.cost_derivative)
+        return cls(*(np.float32(x) for x in (config.cost_limit, episode_length, *gains)))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ConstraintState:
+    """What learning under a limit needs to go on."""
+
+    params: Any  # of the cost's value function
+    optimizer: optax.OptState
+    cost: jax.Array  # of an episode, smoothed over updates; -1 before the first    ()
+    integral: jax.Array  # of the controller                                       ()
+    multiplier: jax.Array  # of the last update                                    ()
+
+
+def init_constraint(
+    networks: Any, optimizer: optax.GradientTransformation, key: jax.Array
+) -> ConstraintState:
+    """A multiplier of 0, and a value function of the cost that has seen nothing.
+
+    Args:
+        networks: from ``make_networks``.
+        optimizer: of the value function.
+        key: that of the other value function.
+    """
+    params = networks.value_network.init(jax.random.fold_in(key, 1))
+    zero = jnp.zeros(())
+    return ConstraintState(params, optimizer.init(params), zero - 1, zero, zero)
+
+
+def step_cost(share: jax.Array) -> jax.Array:
+    """Cost of control steps.
+
+    Args:
+        share: of the comfort limit that was reached; above 1 it is exceeded.
+    """
+    return jnp.where(share > 1, 1 + jnp.minimum(share - 1, 1), 0.0)
+
+
+def record_costs(
+    rollout: RolloutState, totals: Totals, raw: jax.Array, log_prob: Any, after: Any, *more: Any
+) -> tuple[RolloutState, Totals, Batch]:
+    """As ``record_step``, and take note of the cost.
+
+    Raises:
+        ConfigError: the environment does not measure what its limit is about.
+    """
+    if COMFORT_KEY not in after.metrics:
+        raise ConfigError(
+            f"--cost-limit is about the comfort limit of the person, which this environment does not measure: its "
+            f"metrics are {', '.join(after.metrics)}. Leave --cost-limit out, or add {COMFORT_KEY!r}."
+        )
+    rollout, totals, batch = record_step(rollout, totals, raw, log_prob, after, *more)
+    return rollout, totals, replace(batch, cost=step_cost(after.metrics[COMFORT_KEY]))
+
+
+def control(
+    state: ConstraintState, cost: jax.Array, hyper: ConstraintHyper
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """One step of the PID controller.
+
+    Args:
+        state: before it.
+        cost: mean cost of an episode in the newest update ().
+        hyper: limit and gains.
+
+    Returns:
+        The smoothed cost, the integral and the multiplier after it, () each.
+    """
+    old = jnp.where(state.cost < 0, cost, state.cost)
+    new = old + SMOOTHING * (cost - old)
+    error, before = (_error(x, hyper.limit) for x in (new, old))
+    integral = jnp.clip(state.integral + hyper.integral * error, 0.0, LARGEST_MULTIPLIER)
+    rise = jnp.maximum(0.0, error - before)
+    multiplier = hyper.proportional * error + integral + hyper.derivative * rise
+    return new, integral, jnp.clip(multiplier, 0.0, LARGEST_MULTIPLIER)
+
+
+def _error(cost: jax.Array, limit: jax.Array) -> jax.Array:
+    """How far a cost is from the limit, within [-1, 1]; 0 at the limit, and where both are 0."""
+    return (cost - limit) / jnp.maximum(cost + limit, 1e-6)
+
+
+@dataclass(frozen=True)
+class Penalty:
+    """What the cost makes of advantages."""
+
+    advantage: jax.Array  # of the cost, of unit variance    (T, B)
+    multiplier: jax.Array  # ()
+
+
+def penalised(
+    advantage: jax.Array, penalty: Penalty | None, mean: Callable[[Any], Any]
+) -> jax.Array:
+    """Normalised advantages of the reward (T, B), less those of the cost; of unit variance."""
+    if penalty is None:
+        return advantage
+    both = advantage - penalty.multiplier * penalty.advantage
+    return both / (jnp.sqrt(mean(jnp.mean(both**2))) + 1e-5)
+
+
+def learn_constraint(
+    state: ConstraintState | None,
+    batch: Batch,
+    last: jax.Array,
+    key: jax.Array,
+    hyper: Any,
+    config: LearnConfig,
+    value: Callable[[Any, jax.Array], jax.Array],
+    optimizer: optax.GradientTransformation,
+    rate: jax.Array,
+    mean: Callable[[Any], Any],
+) -> tuple[ConstraintState | None, Penalty | None, dict[str, jax.Array]]:
+    """Set the multiplier, and teach the value function of the cost.
+
+    Args:
+        state: before the update; None without a cost limit, and then nothing happens.
+        batch: rollout of (T, B), in the agent's own view, with costs.
+        last: what value functions read after it    (B, critic observation).
+        key: random key of the update.
+        hyper: ``train.learning.ppo.Hyper``.
+        config: settings that the program is compiled for.
+        value: (parameters, what value functions read) -> value.
+        optimizer: of the value function.
+        rate: learning rate, now.
+        mean: over the devices that share the batch.
+
+    Returns:
+        State after, what the cost makes of advantages, and ``COST_LOSSES``.
+    """
+    if state is None:
+        return None, None, {}
+    assert batch.cost is not None  # config.cost_limit makes both
+    cost = mean(jnp.mean(batch.cost)) * hyper.constraint.episode_length
+    smooth, integral, multiplier = control(state, cost, hyper.constraint)
+    values, next_values = values_of(lambda obs: value(state.params, obs), batch, last)
+    advantage = compute_gae(
+        batch.cost, values, next_values, batch.done, hyper.gamma, hyper.gae_discount
+    )
+    centred = advantage - mean(advantage.mean())
+    scale = jnp.maximum(jnp.sqrt(mean(jnp.mean(centred**2))), LEAST_SCALE)
+
+    read = batch.obs if batch.critic_obs is None else batch.critic_obs
+    read, target = read.reshape(-1, read.shape[-1]), (advantage + values).reshape(-1)
+
+    def loss(params: Any, rows: jax.Array) -> jax.Array:
+        return 0.5 * jnp.mean((value(params, read[rows]) - target[rows]) ** 2)
+
+    def step(carry: tuple, rows: jax.Array) -> tuple[tuple, jax.Array]:
+        params, opt_state = carry
+        error, grads = jax.value_and_grad(loss)(params, rows)
+        changes, opt_state = optimizer.update(mean(grads), opt_state)
+        params = jax.tree.map(lambda p, c: p - rate * c, params, changes)
+        return (params, opt_state), error
+
+    keys = jax.random.split(jax.random.fold_in(key, 1), config.ppo_epoch)
+    orders = jax.vmap(lambda key: jax.random.permutation(key, len(target)))(keys)
+    rows = orders.reshape(config.ppo_epoch * config.num_mini_batch, -1)
+    (params, opt_state), errors = jax.lax.scan(step, (state.params, state.optimizer), rows)
+    told = {"cost": cost, "multiplier": multiplier, "cost_value_loss": mean(jnp.mean(errors))}
+    state = ConstraintState(params, opt_state, smooth, integral, multiplier)
+    return state, Penalty(centred / scale, multiplier), told

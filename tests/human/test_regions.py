@@ -54,7 +54,7 @@ def test_every_sensor_of_robot_and_tools_on_the_person_has_the_region_of_what_it
         for robot in ROBOTS.values():
             scene = build_scene(task, robot, active)
             model, index = scene.model, scene.index
-            pairs = contact_pairs(task, scene.arms, scene.moving)
+            pairs = contact_pairs(task, robot, scene.moving)
             wanted = sum(len(x) for kind, x in pairs.items() if kind.endswith("human"))
             assert len(index.touch) == len(set(index.touch)) == len(index.touch_region) == wanted
             sensor_at = {adr: i for i, adr in enumerate(model.sensor_adr)}

@@ -30,7 +30,7 @@ def make(name: str, impl: str = "auto", humans: Any = None, num_envs: int = 1) -
     Args:
         name: its id, such as ``"ScratchItchJaco-v0"``; ``list_envs()`` has them all.
         impl: physics: MJX in ``"jax"`` (anywhere) or ``"warp"`` (NVIDIA GPUs), ``"auto"`` for the one that
-            fits, or ``"native"``: C MuJoCo, for one environment on the CPU, not to be jitted or vmapped.
+            fits, or ``"native"``: C MuJoCo on the CPU, alone or in batches (``wrappers.vectorize``), not to be jitted or vmapped.
         humans: an ``agym_jax.human.population.Population``, if not Assistive Gym's men and women.
         num_envs: how many environments will be stepped together; sizes Warp's buffers.
             ``agym_jax.wrappers.vectorize`` sets it for you.

@@ -2,7 +2,7 @@
 
 One class for every task, robot and person. ``reset`` and ``step`` are pure and written for one environment;
 ``jax.vmap`` them, or let ``agym_jax.wrappers.vectorize`` do it with auto-reset. The physics is one of
-those in ``sim.physics``; where JAX cannot trace it, the stages around it are compiled by themselves.
+those in ``sim.physics``; where JAX cannot trace it, ``sim.native_rows`` runs the stages around it.
 
 DEVIATION(action-penalty): actions are clipped to [-1, 1] before they are penalised (AG penalises the
 raw action).
@@ -25,7 +25,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import mujoco
-import numpy as np
 from jax import Array
 
 from agym_jax import observe
@@ -39,12 +38,12 @@ from agym_jax.rendering.raycast import Marker
 from agym_jax.sense import Motion, Sensed, quats_of, with_quats
 from agym_jax.sim.control import Controller, ControlTargets, checked_action
 from agym_jax.sim.episode import EpisodeSample, geom_sizes, make_episode, sample_episode
-from agym_jax.sim.physics import build_physics, check_traceable, choose_impl
+from agym_jax.sim.physics import build_physics, check_traceable, choose_impl, native_rows_of
 from agym_jax.sim.pictures import markers_of, picture_model, write_pose
 from agym_jax.sim.scene import build_scene
 from agym_jax.sim.sensing import ContactSums, motion_at_rest, no_contacts, sense
 from agym_jax.spec import Loaded, Privileged, RobotSpec, Task
-from agym_jax.state import Episode, State, select, strong
+from agym_jax.state import Episode, State, limited_by_brax, raw_key, select, strong
 
 MAX_SPEED = 1e3
 """Of a joint [rad/s]: a simulation in which one is faster has exploded, and counts as NaN. Bullet stops at 100."""
@@ -65,7 +64,7 @@ class AssistiveEnv:
         robot: who helps.
         active: whether the person acts too (AG's ``...Human-v0``).
         impl: ``"jax"``, ``"warp"``, or ``"auto"``: Warp on an NVIDIA GPU with warp-lang, else JAX;
-            ``"native"`` is C MuJoCo, for one environment.
+            ``"native"`` is C MuJoCo, on a CPU.
         humans: population that episodes draw from.
         num_envs: how many environments will be stepped together: sizes Warp's buffers.
     """
@@ -92,15 +91,9 @@ class AssistiveEnv:
             self.impl, self.scene, self.controller, task.control.frame_skip, num_envs
         )
         self._bank = load_bank(task, robot)
-        self._set_stages()
-        if self.physics.traceable:
+        self.native_rows = None if self.physics.traceable else native_rows_of(self)
+        if not self.native_rows:
             _introduce_to_brax()
-
-    def _set_stages(self) -> None:
-        """The stages around the physics; where JAX cannot trace it, they are compiled one by one."""
-        stage = self.physics.stage
-        self._sample, self._init_task = stage(self._sample_episode), stage(self._begin_task)
-        self._targets, self._evaluate = stage(self._control_targets), stage(self._evaluate_step)
 
     # -- sizes ---------------------------------------------------------------------------------
 
@@ -169,7 +162,6 @@ class AssistiveEnv:
         """The same environment with Warp's buffers for so many environments at once."""
         sized = copy.copy(self)
         sized.num_envs, sized.physics = num_envs, self.physics.sized_for(num_envs)
-        sized._set_stages()
         return sized
 
     # -- the two pure functions ----------------------------------------------------------------
@@ -181,6 +173,9 @@ class AssistiveEnv:
         Args:
             rng: PRNG key, typed or raw.
         """
+        check_traceable(self.physics, rng)
+        if self.native_rows:
+            return self.native_rows.reset_one(raw_key(rng))
         return self._begin(self.physics.make_data(), rng)
 
     @full_precision
@@ -191,6 +186,8 @@ class AssistiveEnv:
             state: of a finished (or any) episode; its key is used up.
             where: boolean ().
         """
+        if self.native_rows:
+            return self.native_rows.reset_one_where(state, where)
         key, key_next = jax.random.split(state.key)
         fresh = self._begin(state.data, key, where=where, old=state)
         return fresh.replace(key=jnp.where(where, key_next, state.key))
@@ -207,22 +204,20 @@ class AssistiveEnv:
             ActionError: the shape is wrong, or (outside of jit) entries are not finite.
         """
         action = checked_action(action, self.action_sizes, self.name)
-        check_traceable(self.physics, state.data.qpos, action)
+        check_traceable(self.physics, state.obs, action)
+        if self.native_rows:
+            return limited_by_brax(self.native_rows.step_one(state, action))
         # control
-        targets = self._targets(state.episode, state.data, state.task, action)
+        targets = self._control_targets(state.episode, state.data, state.task, action)
         # physics
         data, contacts, motion = self.physics.step(state.data, state.episode, targets)
         # sense -> task -> observe
-        after, clock = self._evaluate(
+        after, clock = self._evaluate_step(
             data, contacts, motion, state.task, state.quats, state.episode, targets
         )
-        if "steps" in state.info:
-            # Brax's EpisodeWrapper counts there and sets the limit too; it would take ours for a failure. It wraps
-            # the environment itself and reads ``done`` at once, so nothing of our adapter is between them.
-            after["done"] = after["metrics"]["nan"]
         after["metrics"] = {**state.metrics, **after["metrics"]}
         episode = dataclasses.replace(state.episode, human_target=targets.hold, step=clock)
-        return state.replace(data=data, episode=episode, **after)
+        return limited_by_brax(state.replace(data=data, episode=episode, **after))
 
     def _control_targets(
         self, episode: Episode, data: Any, task: Any, action: Array
@@ -272,8 +267,11 @@ class AssistiveEnv:
 
     def jit_functions(self) -> tuple[Callable[[Array], State], Callable[[State, Array], State]]:
         """``reset`` and ``step`` of one environment, compiled as far as the physics allows."""
-        traceable = self.physics.traceable
-        return (jax.jit(self.reset), jax.jit(self.step)) if traceable else (self.reset, self.step)
+        return (
+            (self.reset, self.step)
+            if self.native_rows
+            else (jax.jit(self.reset), jax.jit(self.step))
+        )
 
     # -- the beginning of an episode -----------------------------------------------------------
 
@@ -281,14 +279,12 @@ class AssistiveEnv:
         self, data: Any, rng: Array, where: Array | None = None, old: State | None = None
     ) -> State:
         """Write a new episode into ``data``; with ``where`` and ``old``, only where it holds."""
-        check_traceable(self.physics, rng)
-        sample, key_task, key = self._sample(rng)
-        xp = jnp if self.physics.traceable else np
-        episode = strong(make_episode(self.scene, self.task.human, sample, xp))
+        sample, key_task, key = self._sample_episode(rng)
+        episode = strong(make_episode(self.scene, self.task.human, sample))
         if where is not None and old is not None:
             episode = select(where, episode, old.episode)
         data = self.physics.reset(data, episode, where)
-        seen, success = self._init_task(key_task, data, episode)
+        seen, success = self._begin_task(key_task, data, episode)
         if where is not None and old is not None:
             seen = select(where, seen, {name: getattr(old, name) for name in seen})
             return old.replace(data=data, episode=episode, **seen)

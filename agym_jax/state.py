@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from agym_jax.data.banks import Placement
 from agym_jax.errors import WrapperError
@@ -112,3 +113,52 @@ def strong(tree: Any) -> Any:
 def select(where: jax.Array, new: Any, old: Any) -> Any:
     """Of two trees, the new one where it holds."""
     return jax.tree.map(lambda a, b: jnp.where(where, a, b), new, old)
+
+
+def raw_key(key: jax.Array) -> jax.Array:
+    """A PRNG key, typed or raw, as a raw one (..., 2)."""
+    typed = jax.dtypes.issubdtype(key.dtype, jax.dtypes.prng_key)
+    return jax.random.key_data(key) if typed else key
+
+
+def moved(state: State, fields: dict[str, Any]) -> State:
+    """The state with what a step has changed."""
+    fields = dict(fields)
+    clock = {name: fields.pop(name) for name in ("human_target", "step")}
+    metrics = {**state.metrics, **fields.pop("metrics")}
+    episode = dataclasses.replace(state.episode, **clock)
+    return state.replace(episode=episode, metrics=metrics, **fields)
+
+
+RESTARTED = ("data", "task", "obs", "privileged_obs", "quats", "episode", "key")
+"""Fields of a state that begin anew with an episode; reward, metrics and ``done`` are those of the last step."""
+
+
+def begun(state: State, resets: list[tuple[Any, dict[str, Any]]]) -> State:
+    """The state of a batch in which some environments begin another episode, in NumPy.
+
+    Args:
+        state: of the batch.
+        resets: rows (n,), and their fields (n, ...).
+    """
+    if not resets:
+        return state
+    parts = [{name: fields.get(name) for name in RESTARTED} for _, fields in resets]
+    old = {name: getattr(state, name) for name in RESTARTED}
+
+    def written(old: Any, *parts: Any) -> Any:
+        new = np.array(old)
+        for (rows, _), part in zip(resets, parts, strict=True):
+            new[rows] = part
+        return new
+
+    return state.replace(**jax.tree.map(written, old, *parts))
+
+
+def limited_by_brax(state: State) -> State:
+    """The state after a step, ended by its length only if no wrapper of Brax's sees to that.
+
+    Brax's EpisodeWrapper counts in ``info`` and sets the limit too; it would take ours for a failure. It wraps
+    the environment itself and reads ``done`` at once, so nothing of our adapter is between them.
+    """
+    return state.replace(done=state.metrics["nan"]) if "steps" in state.info else state

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from agym_jax.errors import ActionError
 from agym_jax.jax_settings import enable_compilation_cache
+from agym_jax.sim.physics import check_traceable
+from agym_jax.state import State, begun, moved, raw_key
 
 
 class VectorEnv:
@@ -65,11 +71,7 @@ class VectorEnv:
         Raises:
             ActionError: the action has another shape.
         """
-        if jnp.shape(action) != (self.num_envs, self.action_size):
-            raise ActionError(
-                f"{self.name} in a batch of {self.num_envs} takes actions of shape "
-                f"({self.num_envs}, {self.action_size}), got {jnp.shape(action)}."
-            )
+        self._check_shape(action)
         info = state.info
         state = jax.vmap(self.env.step)(state.replace(info={}), action)
         finished = state.done > 0
@@ -83,6 +85,13 @@ class VectorEnv:
             state,
         )
         return state.replace(info=info)
+
+    def _check_shape(self, action: Any) -> None:
+        if np.shape(action) != (self.num_envs, self.action_size):
+            raise ActionError(
+                f"{self.name} in a batch of {self.num_envs} takes actions of shape "
+                f"({self.num_envs}, {self.action_size}), got {np.shape(action)}."
+            )
 
     def stagger(self, state: Any, key: Array) -> Any:
         """Put the environments' clocks at random steps, so that episodes do not all end together.
@@ -103,6 +112,69 @@ class VectorEnv:
         return state.replace(episode=dataclasses.replace(state.episode, step=step))
 
 
+class NativeVectorEnv(VectorEnv):
+    """A batch on C MuJoCo (``impl="native"``): as ``VectorEnv``, but in NumPy, in threads, and not to be traced.
+
+    Args:
+        env: made with ``impl="native"``.
+        num_envs: environments.
+        num_threads: that step them; by default one for each CPU core. They change nothing but the speed.
+    """
+
+    def __init__(self, env: Any, num_envs: int, num_threads: int | None = None):
+        super().__init__(env, num_envs)
+        wanted = num_threads or len(os.sched_getaffinity(0))
+        rows, physics = env.native_rows, env.physics
+        count = -(-num_envs // rows.size)  # slots
+        count = min(num_envs, -(-count // wanted) * wanted)
+        ends = [num_envs * i // count for i in range(count + 1)]
+        self.num_threads = min(wanted, count)
+        self._slots = [(physics.slot(), slice(a, b)) for a, b in pairwise(ends)]
+        self._pool = ThreadPoolExecutor(self.num_threads, thread_name_prefix="agym_jax")
+
+    def reset(self, key: Array) -> Any:
+        """A batch of fresh episodes; see ``VectorEnv.reset``."""
+        check_traceable(self.env.physics, key)
+        key = raw_key(key)
+        keys = np.asarray(jax.random.split(key, self.num_envs) if key.ndim == 1 else key)
+
+        def reset(slot: Any, part: slice) -> dict[str, Any]:
+            with slot.lock:
+                return self.env.native_rows.reset(slot, keys[part])
+
+        state = State(info={}, **_joined(self._pool.map(reset, *zip(*self._slots, strict=True))))
+        info = _final(state) | {"truncation": np.zeros(self.num_envs, np.float32)}
+        return state.replace(info=info)
+
+    def step(self, state: Any, action: Any) -> Any:
+        """One control step of every environment; see ``VectorEnv.step``."""
+        check_traceable(self.env.physics, state.obs, action)
+        self._check_shape(action)
+        action, rows = np.asarray(action, np.float32), self.env.native_rows
+
+        def step(slot: Any, part: slice) -> tuple[dict[str, Any], Any]:
+            with slot.lock:
+                fields = rows.step(slot, state, part, action[part])
+                finished = np.flatnonzero(fields["done"] > 0)
+                if not len(finished):
+                    return fields, None
+                keys, keys_next = rows.split(np.asarray(state.key[part])[finished])
+                fresh = rows.reset(slot, keys) | {"key": keys_next}
+                return fields, (finished + part.start, fresh)
+
+        steps, resets = zip(*self._pool.map(step, *zip(*self._slots, strict=True)), strict=True)
+        state = moved(state, _joined(steps))
+        failed = state.metrics["nan"] > 0
+        truncation = ((state.done > 0) & ~failed).astype(np.float32)
+        info = state.info | _final(state) | {"truncation": truncation}
+        return begun(state, [x for x in resets if x]).replace(info=info)
+
+
+def _joined(parts: Any) -> Any:
+    """Fields of the slots as those of the batch."""
+    return jax.tree.map(lambda *x: np.concatenate(x), *parts)
+
+
 def _final(state: Any) -> dict[str, Array]:
     """What is observed at the end of a step, before any reset."""
     final = {"final_observation": state.obs}
@@ -113,4 +185,5 @@ def _final(state: Any) -> dict[str, Array]:
 def vectorize(env: Any, num_envs: int) -> VectorEnv:
     """``num_envs`` copies of an environment, with auto-reset."""
     enable_compilation_cache()
-    return VectorEnv(env, num_envs)
+    native = getattr(env, "native_rows", None) is not None
+    return NativeVectorEnv(env, num_envs) if native else VectorEnv(env, num_envs)

@@ -1,9 +1,12 @@
-"""Physics on C MuJoCo: one environment on the CPU, whose first step comes within seconds.
+"""Physics on C MuJoCo: environments on a CPU, in the rows of ``mujoco.batch.Batch``.
 
-MJX takes half a minute to trace and compile; C MuJoCo takes nothing, and one environment runs faster on it.
+MJX takes half a minute to trace and compile; C MuJoCo takes nothing, and on a CPU it is several times faster.
 It gets the same model, the same people written into it and the same draws, and what is around
 the physics is the same code, compiled in small pieces. Trajectories agree with those of MJX as far
 as float64 agrees with float32; MJX keeps the 8 deepest contacts of an environment, C MuJoCo keeps all.
+
+A ``Slot`` steps up to ``ROWS`` environments on the thread that calls it. Compiled programs always get all its rows, so
+what happens in an environment does not depend on how many there are beside it, nor on the number of threads.
 """
 
 from __future__ import annotations
@@ -11,7 +14,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -20,30 +22,29 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jax import Array
+from mujoco.batch import Batch, SimulationError
 
 from agym_jax.human.muscles import Muscles
 from agym_jax.sense import Motion
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import model_fields
-from agym_jax.sim.motors import Aim
+from agym_jax.sim.native_drive import FORCES, DriveProgram, afterwards
 from agym_jax.sim.scene import Scene
-from agym_jax.sim.sensing import (
-    ContactSums,
-    motion_at_rest,
-    motion_of,
-    no_contacts,
-    read_contacts,
-    sample_poses,
-    total_contacts,
-)
+from agym_jax.sim.sensing import ContactSums, motion_of, read_contacts, sample_poses, total_contacts
 from agym_jax.state import Episode
 
+ROWS = 32
+"""Of a slot. More spare calls; fewer spare a single environment the arithmetic of those that are not there."""
 Layout = tuple[tuple[str, int, int, tuple[int, ...]], ...]
 """Name, start, stop and shape of each field in ``NativeData.numbers``."""
 MOTION = ("qpos", "qvel", "qacc_warmstart", "qfrc_bias", "M")
 """Fields that decide what happens next."""
 POSES = ("xpos", "xmat", "xquat", "xanchor", "xaxis", "site_xpos", "geom_xpos", "geom_xmat")
 """Fields that ``sense`` reads besides."""
+SAMPLED = ("site_xpos", "xquat", "xpos", "xmat")
+"""Fields that ``sample_poses`` reads after every physics step."""
+People = Any
+"""Of an episode all that stays as it was drawn: ``Episode`` without target and clock."""
 
 
 def _field(name: str) -> Any:
@@ -51,7 +52,8 @@ def _field(name: str) -> Any:
 
     def view(data: NativeData) -> Any:
         start, stop, shape = next(x[1:] for x in data.layout if x[0] == name)
-        return data.numbers[start:stop].reshape(shape)
+        part = data.numbers[..., start:stop]
+        return part.reshape(*part.shape[:-1], *shape)
 
     return property(view, doc=f"``{name}`` of ``MjData``.")
 
@@ -59,12 +61,12 @@ def _field(name: str) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class NativeData:
-    """One environment of C MuJoCo: what matters of ``MjData``, under the same names.
+    """Environments of C MuJoCo: what matters of ``MjData``, under the same names, with the leading axes of ``numbers``.
 
     It lies in one array, because each array that enters a compiled function costs some microseconds.
     """
 
-    numbers: Any  # float64 (n,)
+    numbers: Any  # float64 (..., n)
     layout: Layout = dataclasses.field(metadata={"static": True})
 
     qpos = _field("qpos")  # [rad]                                            (nq,)
@@ -81,23 +83,18 @@ class NativeData:
     geom_xpos = _field("geom_xpos")  # world [m]                              (ngeom, 3)
     geom_xmat = _field("geom_xmat")  #                                        (ngeom, 9)
 
-    @classmethod
-    def of(cls, d: mujoco.MjData, layout: Layout) -> NativeData:
-        """A copy of what C MuJoCo has now."""
-        return cls(np.concatenate([getattr(d, name).ravel() for name, *_ in layout]), layout)
-
     def replace(self, **changes: Any) -> NativeData:
         """A copy with some fields changed."""
         copy = NativeData(np.array(self.numbers), self.layout)
         for name, value in changes.items():
-            getattr(copy, name)[:] = value
+            getattr(copy, name)[...] = value
         return copy
 
 
-def layout_of(d: mujoco.MjData) -> Layout:
-    """Where the fields of one environment lie in ``NativeData.numbers``."""
+def layout_of(d: mujoco.MjData, names: tuple[str, ...] = (*MOTION, *POSES)) -> Layout:
+    """Where the fields of one environment lie in an array of numbers."""
     layout, start = [], 0
-    for name in (*MOTION, *POSES):
+    for name in names:
         field = getattr(d, name)
         layout.append((name, start, start + field.size, field.shape))
         start += field.size
@@ -105,7 +102,7 @@ def layout_of(d: mujoco.MjData) -> Layout:
 
 
 class Watcher(Protocol):
-    """What is told of every physics step, see ``sim.impulse``."""
+    """What is told of every physics step of a single environment, see ``sim.impulse``."""
 
     def before(self, data: mujoco.MjData, load: np.ndarray) -> None:
         """One is about to begin, with a load on the robot's joints [N m] (n_arm,)."""
@@ -134,115 +131,248 @@ class NativePhysics:
     def __init__(self, scene: Scene, controller: Controller, frame_skip: int):
         self.scene, self.controller, self.frame_skip = scene, controller, frame_skip
         self.model = controller.model_of(_own_model(scene))
-        self._data = mujoco.MjData(self.model)
-        self._layout = layout_of(self._data)
-        self._data.warning.number[:] = 1  # MuJoCo logs a first warning into the current folder
+        empty = mujoco.MjData(self.model)
+        self.layout, self.sampled = layout_of(empty), layout_of(empty, SAMPLED)
         self.watcher: Watcher | None = None
-        self._lock = threading.Lock()  # of model and data, which every call overwrites
-        self._written: list[Any] = []  # leaves of what the model holds of an episode
+        self._alone: Slot | None = None
 
-        def human_of(episode: Episode) -> tuple[dict[str, Array], Muscles]:
-            pull = controller.muscles(episode.human)
-            return model_fields(scene, scene.model, episode, pull), pull
+        def written(people: People) -> tuple[dict[str, Array], Muscles]:
+            muscles = controller.muscles(people.human)
+            return model_fields(scene, scene.model, people, muscles), muscles
 
-        self._human_of = jax.jit(human_of)
-        self._limit_torque = jax.jit(controller.limit_torque)
+        self.written = jax.jit(jax.vmap(written))
+        self.drive = DriveProgram(controller, self.model)
+        self.after_step = jax.jit(jax.vmap(afterwards(controller)))
 
     def sized_for(self, num_envs: int) -> NativePhysics:
-        """The same: its buffers grow."""
+        """The same: it takes any number of slots."""
         return self
 
-    def stage(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function, compiled by itself."""
-        return jax.jit(function)
+    def slot(self) -> Slot:
+        """A new slot."""
+        return Slot(self, persistent=self.watcher is not None)
+
+    @property
+    def alone(self) -> Slot:
+        """The slot of a single environment."""
+        if self._alone is None or (self.watcher and not self._alone.batch.persistent):
+            self._alone = self.slot()
+        return self._alone
 
     def make_data(self) -> NativeData:
         """Data of an environment in which nothing has begun."""
-        return NativeData.of(mujoco.MjData(self.model), self._layout)
+        d = mujoco.MjData(self.model)
+        parts = [getattr(d, name).ravel() for name, *_ in self.layout]
+        return NativeData(np.concatenate(parts), self.layout)
 
-    def reset(self, data: NativeData, episode: Episode, where: Array | None = None) -> NativeData:
-        """Everything at rest at the start of an episode."""
+    def reset(self, data: NativeData, episode: Episode, where: Any = None) -> NativeData:
+        """One environment at rest at the start of an episode."""
         if where is not None and not where:
             return data
-        rest, index = dict.fromkeys(MOTION, 0.0), self.scene.index
-        with self._lock:
-            d = self._load(data.replace(**rest | {"qpos": self.model.qpos0}), episode)
-            d.qpos[index.robot_qpos] = episode.placement.arm_angles
-            d.qpos[index.human_qpos] = episode.human_angles
-            mujoco.mj_kinematics(self.model, d)
-            return NativeData.of(d, self._layout)
+        with self.alone.lock:
+            self.alone.load(jax.tree.map(lambda x: np.asarray(x)[None], episode), slice(0, 1))
+            return NativeData(self.alone.reset(np.array([True]))[0], self.layout)
 
     def step(
         self, data: NativeData, episode: Episode, targets: ControlTargets
     ) -> tuple[NativeData, ContactSums, Motion]:
-        """One control step. The ``qpos`` of an environment that goes non-finite are NaN."""
-        index, sensors, samples = self.scene.index, [], []
-        target, goal = np.asarray(targets.target), np.asarray(targets.goal)
-        load = np.asarray(targets.load)
-        with self._lock:
-            d = self._load(data, episode)
-            for _ in range(self.frame_skip):
-                if not _is_sound(d):
-                    break
-                if self.watcher:
-                    self.watcher.before(d, load)
-                self._pull(d, target)
-                aim = self.controller.aim(goal)
-                drive = self.controller.motors.prepare(self.model, d, aim, besides=load)
-                mujoco.mj_step(self.model, d)
-                if self.watcher:
-                    self.watcher.after(self.model, d)
-                self.controller.motors.remember(d, drive)
-                if self.controller.at_joints:
-                    after = self.controller.after_step(self.model, d, d.M, np)
-                    d.qpos[index.human_qpos], d.qvel[index.human_dof] = after
-                sensors.append(d.sensordata.copy())
-                samples.append(sample_poses(index, d, np))
-            if not _is_sound(d):
-                motion = motion_at_rest(index, data, self.frame_skip)
-                # the guard against NaN sees it
-                return data.replace(qpos=np.nan), no_contacts(index), motion
-            if self.watcher:
-                self.watcher.finish()
-            mujoco.mj_kinematics(self.model, d)
-            samples.append(sample_poses(index, d, np))
-            motion = motion_of(index, jax.tree.map(lambda *x: np.stack(x), *samples), np)
-            motion = jax.tree.map(lambda x: x.astype(np.float32), motion)
-            sums = total_contacts(read_contacts(index, np.stack(sensors), np))
-            return NativeData.of(d, self._layout), sums, motion
+        """One control step of one environment. Its ``qpos`` are NaN if it goes non-finite."""
+        with self.alone.lock:
+            self.alone.load(jax.tree.map(lambda x: np.asarray(x)[None], episode), slice(0, 1))
+            targets = jax.tree.map(lambda x: full_rows(np.asarray(x, np.float32)[None]), targets)
+            numbers, sensors, samples = self.alone.step(data.numbers[None], targets)
+            contacts, motion = self.sums(sensors[0], samples[0], np)
+            return NativeData(numbers[0], self.layout), contacts, motion
 
-    def _pull(self, d: mujoco.MjData, target: np.ndarray) -> None:
-        """Prepare the person's joints: muscles, ligaments and pose-dependent limits."""
-        index, muscles = self.scene.index, self._muscles
-        if not len(index.human_dof):
-            return
-        q, v = d.qpos[index.human_qpos].astype(np.float32), d.qvel[index.human_dof]
-        load = d.qfrc_bias[index.human_dof].copy()
-        besides = muscles.passive * load
-        if not self.controller.within_limits(q):
-            besides = besides + self._limit_torque(q, v)
-        aim = Aim(target, muscles.rate, muscles.bound, muscles.damping)
-        self.controller.human_motors.prepare(self.model, d, aim, load - besides, besides)
+    def sums(self, sensors: Any, samples: Any, xp: Any = jnp) -> tuple[ContactSums, Motion]:
+        """What a slot's step leaves of one environment's physics steps, as ``sense`` reads it.
+
+        Args:
+            sensors: contact sensors after each (n, nsensordata).
+            samples: the fields ``SAMPLED`` at each, and at the end (n + 1, all).
+            xp: numpy or jax.numpy.
+        """
+        index, at = self.scene.index, NativeData(samples, self.sampled)
+        contacts = total_contacts(read_contacts(index, sensors, xp))
+        return contacts, motion_of(index, sample_poses(index, at, xp), xp)
 
     def overflow(self, data: NativeData) -> Array:
         """Never: C MuJoCo's buffers grow ()."""
         return jnp.float32(0.0)
 
-    def _load(self, data: NativeData, episode: Episode) -> mujoco.MjData:
-        """Model and data hold this environment and nothing of the one before."""
-        leaves = jax.tree.leaves((episode.human, episode.rows, episode.placement))
-        same = len(leaves) == len(self._written)
-        if not (same and all(a is b for a, b in zip(leaves, self._written, strict=True))):
-            fields, muscles = jax.device_get(self._human_of(episode))
-            rate, bound, damping = (float(x) for x in muscles[:3])
-            self._muscles = Muscles(rate, bound, damping, muscles.passive)
-            for name, value in fields.items():
-                getattr(self.model, name)[:] = value
-            self._written = leaves
-        for name in MOTION:
-            getattr(self._data, name)[:] = getattr(data, name)
-        self._data.qfrc_applied[:] = 0.0
-        return self._data
+
+class Slot:
+    """Up to ``ROWS`` environments, stepped by the thread that calls; hold its ``lock`` meanwhile.
+
+    Args:
+        physics: of the environments.
+        persistent: whether MuJoCo keeps all data of every environment, for a watcher.
+    """
+
+    def __init__(self, physics: NativePhysics, persistent: bool = False):
+        self.physics, self.lock = physics, threading.Lock()
+        self.batch = batch = Batch(physics.model, ROWS, 1, persistent)
+        batch.warning[:] = 1  # MuJoCo logs a first warning into the current folder
+        self._own: list[Any] = []  # leaves of the episodes that are loaded
+        self._rows: list[np.ndarray] = []  # the same, of this slot's rows
+        self.people: Any = None
+        self.muscles: Muscles | None = None
+        self._solref = batch.expand("dof_solref")
+        self._state = {name: batch.bind(name) for name in MOTION[:3]}
+        self._applied = batch.bind("qfrc_applied")
+        outputs = ("M", "qfrc_bias", "sensordata", *FORCES, *POSES)
+        self._out = {name: batch.bind(name).reshape(ROWS, -1) for name in outputs}
+        self._drive_input = np.zeros((ROWS, physics.drive.inputs), np.float32)
+
+    def load(self, episode: Episode, part: slice) -> None:
+        """Write the people of these rows into the model, where they are not yet.
+
+        Args:
+            episode: of all environments, with a leading axis.
+            part: which of them are this slot's rows, from the first on.
+        """
+        people = _people_of(episode)
+        leaves, tree = jax.tree.flatten(people)
+        if len(leaves) == len(self._own) and all(
+            a is b for a, b in zip(leaves, self._own, strict=True)
+        ):
+            return
+        rows = [full_rows(np.asarray(x)[part]) for x in leaves]
+        changed = np.full(ROWS, not self._rows)
+        for new, old in zip(rows, self._rows, strict=False):
+            changed |= (new != old).reshape(ROWS, -1).any(axis=1)
+        self._own, self._rows = leaves, rows
+        if not changed.any():
+            return
+        self.people = jax.device_put(jax.tree.unflatten(tree, rows))
+        fields, self.muscles = self.physics.written(self.people)
+        for name, value in fields.items():
+            self.batch.expand(name)[changed] = np.asarray(value)[changed]
+
+    def reset(self, where: np.ndarray) -> np.ndarray:
+        """Environments at rest as the loaded episodes begin.
+
+        Args:
+            where: which rows (n,), n at most ``ROWS``; what the others hold means nothing.
+
+        Returns:
+            ``NativeData.numbers`` of the rows (n, all).
+        """
+        index, n = self.physics.scene.index, len(where)
+        qpos = self._state["qpos"]
+        for field in self._state.values():
+            field[:] = 0.0
+        qpos[:] = self.physics.model.qpos0
+        qpos[:, index.robot_qpos] = np.asarray(self.people.placement.arm_angles)
+        qpos[:, index.human_qpos] = np.asarray(self.people.human_angles)
+        self.batch.forward(np.flatnonzero(where), mujoco.mjtStage.mjSTAGE_POS.value)
+        zero = np.zeros_like(self._out["M"]), np.zeros_like(self._out["qfrc_bias"])
+        return self._numbers(*zero)[:n]
+
+    def step(
+        self, numbers: np.ndarray, targets: ControlTargets
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """One control step of the environments that are loaded.
+
+        The ``qpos`` of an environment that goes non-finite are NaN; the others do not notice.
+
+        Args:
+            numbers: of ``NativeData`` (n, all), n at most ``ROWS``.
+            targets: to the joints (ROWS, ...).
+
+        Returns:
+            Numbers after it (n, all), and of each physics step the contact sensors (n, steps, nsensordata) and
+            poses (n, steps + 1, all), see ``NativePhysics.sums``.
+        """
+        physics, batch, n = self.physics, self.batch, len(numbers)
+        data, steps = NativeData(numbers, physics.layout), physics.frame_skip
+        for name, field in self._state.items():
+            field[:n] = getattr(data, name)
+        given = [data.qpos, data.qvel, data.M, data.qfrc_bias]
+        alive, watcher = np.ones(n, bool), physics.watcher
+        sensors = np.zeros((ROWS, steps, self._out["sensordata"].shape[1]), np.float32)
+        samples = np.zeros((ROWS, steps + 1, physics.sampled[-1][2]), np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):
+            last = physics.drive.first(self._drive_input, given)
+            for k in range(steps):
+                drive = physics.drive(self._drive_input, last, targets, self.muscles)
+                alive &= drive.sound[:n]
+                if not alive.any():
+                    break
+                if watcher:
+                    watcher.before(batch.get_data(0), np.asarray(targets.load)[0])
+                drive.write(self._state, self._applied, self._solref)
+                self._step(alive)
+                if watcher:
+                    watcher.after(batch.get_model(0), batch.get_data(0))
+                last = drive
+                if physics.controller.at_joints:
+                    self._stop_at_joints(alive)
+                self._sample(sensors[:, k], samples[:, k])
+                physics.drive.gather(self._drive_input, self._state, self._out)
+            alive &= self._sound()[:n]
+            inertia, bias = self._out["M"].copy(), physics.drive.bias(last, targets, self._out)
+            if alive.any():
+                self.batch.forward(np.flatnonzero(alive), mujoco.mjtStage.mjSTAGE_POS.value)
+            self._sample(None, samples[:, steps])
+        if watcher:
+            watcher.finish()
+        after = self._numbers(inertia, bias)[:n]
+        for row in np.flatnonzero(~alive):  # the guard against NaN sees it
+            after[row] = data.numbers[row]
+            NativeData(after[row], physics.layout).qpos[:] = np.nan
+            before = NativeData(numbers[row], physics.layout)
+            samples[row] = np.concatenate([getattr(before, x).ravel() for x in SAMPLED])
+            sensors[row] = 0.0
+        return after, sensors, samples
+
+    def _step(self, alive: np.ndarray) -> None:
+        """One physics step; ``alive`` (n,) becomes false where MuJoCo could not take it."""
+        ids = None if len(alive) == ROWS and alive.all() else np.flatnonzero(alive)
+        try:
+            self.batch.step(ids)
+        except SimulationError as error:
+            alive[error.ids] = False
+
+    def _sound(self) -> np.ndarray:
+        """Where C MuJoCo can go on: all numbers are finite, and fit into float32 (ROWS,)."""
+        fields = (self._state["qpos"], self._state["qvel"])
+        return np.all([np.abs(x).max(axis=1) < mujoco.mjMAXVAL for x in fields], axis=0)
+
+    def _sample(self, sensors: np.ndarray | None, samples: np.ndarray) -> None:
+        """Keep what a physics step has left behind."""
+        if sensors is not None:
+            sensors[:] = self._out["sensordata"]
+        for name, start, stop, _ in self.physics.sampled:
+            samples[:, start:stop] = self._out[name]
+
+    def _stop_at_joints(self, alive: np.ndarray) -> None:
+        """What ``Controller.after_step`` makes of the person's joints."""
+        index, rows = self.physics.scene.index, np.flatnonzero(alive)
+        names = ("geom_size", "jnt_range")
+        model = {name: self.batch.expand(name).astype(np.float32) for name in names}
+        fields = {name: x.astype(np.float32) for name, x in (self._state | self._out).items()}
+        q, v = (np.asarray(x) for x in self.physics.after_step(model, fields))
+        self._state["qpos"][np.ix_(rows, index.human_qpos)] = q[rows]
+        self._state["qvel"][np.ix_(rows, index.human_dof)] = v[rows]
+
+    def _numbers(self, inertia: np.ndarray, bias: np.ndarray) -> np.ndarray:
+        """``NativeData.numbers`` of all rows (ROWS, all)."""
+        poses = [self._out[name] for name in POSES]
+        return np.concatenate([*self._state.values(), bias, inertia, *poses], axis=1)
+
+
+def _people_of(episode: Episode) -> People:
+    """What of an episode stays as it was drawn."""
+    nothing: Any = None
+    return dataclasses.replace(episode, human_target=nothing, step=nothing)
+
+
+def full_rows(x: np.ndarray) -> np.ndarray:
+    """Rows of a slot: those that are missing as the first (ROWS, ...)."""
+    if len(x) == ROWS:
+        return x
+    return np.concatenate([x, np.broadcast_to(x[:1], (ROWS - len(x), *x.shape[1:]))])
 
 
 def _own_model(scene: Scene) -> mujoco.MjModel:
@@ -256,8 +386,3 @@ def _own_model(scene: Scene) -> mujoco.MjModel:
     model.geom_sameframe[index.human_geom] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     model.body_sameframe[index.human_body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     return model
-
-
-def _is_sound(d: mujoco.MjData) -> bool:
-    """Whether C MuJoCo can go on from here: all numbers are finite, and fit into float32."""
-    return all(np.abs(x).max() < mujoco.mjMAXVAL for x in (d.qpos, d.qvel))

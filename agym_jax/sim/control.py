@@ -206,6 +206,22 @@ class Controller:
             torque = torque.at[arm].set(push)
         return torque
 
+    def limit_torques(self, q: Array, v: Array) -> Array:
+        """``limit_torque`` of many people at once; where nobody is beyond a limit, it costs little [N m] (n, n_person).
+
+        Args:
+            q: angles of the persons' joints [rad] (n, n_person).
+            v: velocities [rad/s] (n, n_person).
+        """
+        if not self.arms:
+            return jnp.zeros_like(q)
+        reach = [
+            limits.reachability(self.arm_limits, q[:, arm] * LIKE_RIGHT[sign])
+            for arm, sign in self.arms
+        ]
+        beyond = ~jnp.all(jnp.stack(reach) > 0.0)
+        return jax.lax.cond(beyond, jax.vmap(self.limit_torque), lambda q, v: 0.0 * q, q, v)
+
     def after_step(self, model: Any, data: Any, matrix: Any, xp: Any = jnp) -> tuple[Any, Any]:
         """The person's angles and velocities after a physics step, as in Bullet; only if ``at_joints``.
 
@@ -224,10 +240,3 @@ class Controller:
             q, v = q + self.motors.time_step * (after - v), after
         limits = model.jnt_range[self.index.human_joint]
         return muscles.as_bullet(q, v, limits, self.motors.time_step, xp)
-
-    def within_limits(self, q: np.ndarray) -> bool:
-        """Whether ``limit_torque`` is zero, and need not be computed; in NumPy, float32."""
-        return all(
-            limits.reachability(self.arm_limits, q[arm] * LIKE_RIGHT[sign], np) > 0.0
-            for arm, sign in self.arms
-        )

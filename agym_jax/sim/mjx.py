@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -79,10 +78,6 @@ class MjxPhysics:
         sized = copy.copy(self)
         sized.num_envs = num_envs
         return sized
-
-    def stage(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function as it is: the caller compiles it with the physics."""
-        return function
 
     def make_data(self) -> mjx.Data:
         """Data of an environment in which nothing has begun."""

@@ -1,13 +1,11 @@
 """Physics: what the environment asks of it, and which implementations there are.
 
-``sim.mjx`` is MJX, in JAX or Warp, for any number of environments; ``sim.c_mujoco`` is C MuJoCo, for one
-environment on the CPU. Each is imported only when it is used: MJX alone takes seconds to import.
+``sim.mjx`` is MJX, in JAX or Warp; ``sim.c_mujoco`` is C MuJoCo, for CPUs. Each is imported only when it is used: MJX alone takes seconds to import.
 """
 
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
 from typing import Any, Protocol
 
 import jax
@@ -27,14 +25,10 @@ class Physics(Protocol):
     """Moves one environment; knows nothing of tasks. Its ``data`` is what ``sense`` reads."""
 
     traceable: bool
-    """Whether JAX can trace it (``jit``, ``vmap``); if not, only what is around it is compiled."""
+    """Whether JAX can trace it (``jit``, ``vmap``); if not, only what is around it is compiled, see ``sim.native_rows``."""
 
     def sized_for(self, num_envs: int) -> Physics:
         """The same physics with buffers for so many environments at once."""
-        ...
-
-    def stage(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """A pure function that runs before or after the physics: as it is, or compiled by itself."""
         ...
 
     def make_data(self) -> Any:
@@ -121,6 +115,13 @@ def build_physics(
     return MjxPhysics(impl, scene, controller, frame_skip, num_envs)
 
 
+def native_rows_of(env: Any) -> Any:
+    """What resets and steps environments of C MuJoCo, made of an environment's functions."""
+    from agym_jax.sim.native_rows import NativeRows
+
+    return NativeRows.of(env)
+
+
 def check_traceable(physics: Physics, *values: Any) -> None:
     """Refuse to compile what cannot be compiled.
 
@@ -129,6 +130,7 @@ def check_traceable(physics: Physics, *values: Any) -> None:
     """
     if not physics.traceable and any(isinstance(value, jax.core.Tracer) for value in values):
         raise ImplementationError(
-            "impl='native' steps one environment at a time, outside of jax.jit and jax.vmap (its pieces are "
-            "compiled already). Use impl='jax' or 'warp' for many environments, or to compile a step."
+            "C MuJoCo (impl='native') cannot be traced by jax.jit or jax.vmap; its pieces are compiled already. Call "
+            "reset and step as they are, and for many environments those of agym_jax.wrappers.vectorize(env, "
+            "num_envs). To compile a step into a program of your own, make the environment with impl='jax' or 'warp'."
         )

@@ -119,16 +119,21 @@ def sample_poses(index: Index, data: Any, xp: Any = jnp) -> PoseSample:
 
     Args:
         index: of the scene.
-        data: of one environment, kinematics up to date.
+        data: of one environment, kinematics up to date; or of n physics steps, all leaves (n, ...).
         xp: numpy or jax.numpy.
     """
     tool, bodies = index.tools[0], index.human_body
     return PoseSample(
-        tool_pos_w=xp.array(data.site_xpos)[tool.tip],
-        tool_body_quat_w=xp.array(data.xquat)[tool.body],
-        link_pos_w=xp.array(data.xpos)[bodies],
-        link_rot_w=xp.array(data.xmat).reshape(-1, 3, 3)[bodies],
+        tool_pos_w=xp.array(data.site_xpos)[..., tool.tip, :],
+        tool_body_quat_w=xp.array(data.xquat)[..., tool.body, :],
+        link_pos_w=xp.array(data.xpos)[..., bodies, :],
+        link_rot_w=_matrices(xp.array(data.xmat))[..., bodies, :, :],
     )
+
+
+def _matrices(xmat: Any) -> Any:
+    """Rotation matrices of bodies, which MJX has as such and MuJoCo as rows of 9 (..., nbody, 3, 3)."""
+    return xmat.reshape(*xmat.shape[:-1], 3, 3) if xmat.shape[-1] == 9 else xmat
 
 
 def motion_of(index: Index, poses: PoseSample, xp: Any = jnp) -> Motion:

@@ -12,6 +12,7 @@ import copy
 import dataclasses
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -88,7 +89,7 @@ def held() -> tuple[float, float]:
     """How far joints that are not driven move while the others press, at most: AG's and ours [rad]."""
     name, kept = "ScratchItchJaco", traces("pressing")
     env, last = agym_jax.make(f"{name}-v0", impl="native"), traces("motors")["pressed_end"]
-    aim, moved = env.physics.stage(env.controller.targets), ([0.0], [0.0])
+    aim, moved = jax.jit(env.controller.targets), ([0.0], [0.0])
     for case, end in enumerate(last):
         episode = pressing.episode_of(env, name, case)
         data, action = (

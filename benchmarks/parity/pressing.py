@@ -55,7 +55,7 @@ def episode_of(env: agym_jax.Env, name: str, case: int) -> Episode:
 def press(name: str, cases: Sequence[int] | np.ndarray) -> Press:
     """Play recorded cases."""
     env, kept = agym_jax.make(f"{name}-v0", impl="native"), traces("pressing")
-    aim, sense = env.physics.stage(env.controller.targets), env.physics.stage(env._sense)
+    aim, sense = jax.jit(env.controller.targets), jax.jit(env._sense)
     steps = kept[f"{name}_force"].shape[1]
     force, depth = np.zeros((len(cases), steps)), np.full((len(cases), steps), np.nan)
     for row, case in enumerate(cases):

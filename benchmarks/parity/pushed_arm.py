@@ -58,7 +58,7 @@ def ours(masses: str, cases: Sequence[int] | None = None) -> Paths:
     """
     kept = traces("pushed_arm")
     env = agym_jax.make("ScratchItchJaco-v0", impl="native", humans=Population(masses=masses))
-    aim, sense = env.physics.stage(env.controller.targets), env.physics.stage(env._sense)
+    aim, sense = jax.jit(env.controller.targets), jax.jit(env._sense)
     paths = []
     for case in range(len(kept["sex"])) if cases is None else cases:
         episode = episode_of(env, case)

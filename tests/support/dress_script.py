@@ -111,7 +111,7 @@ class Near:
     """Distances of what may touch: the robot's last links from person and wheelchair, in one episode."""
 
     def __init__(self, env: Any, state: Any):
-        self.model = env.physics.model  # holds the person of the last reset
+        self.model = env.physics.alone.batch.get_model(0)  # with the person of the last reset
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = np.asarray(state.data.qpos)
         self.joints = env.scene.index.robot_qpos

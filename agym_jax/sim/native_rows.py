@@ -1,0 +1,172 @@
+"""An environment's functions around C MuJoCo, for the rows of a slot: compiled for ``ROWS`` at once, called from Python."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax import Array
+
+from agym_jax.human.regions import no_forces
+from agym_jax.jax_settings import full_precision
+from agym_jax.sim.c_mujoco import ROWS, NativeData, NativePhysics, Slot, full_rows
+from agym_jax.sim.episode import make_episode
+from agym_jax.state import Episode, State, moved, raw_key
+
+
+class Stages(NamedTuple):
+    """The functions of one environment; see ``AssistiveEnv``."""
+
+    sample: Callable[[Array], tuple[Any, Array, Array]]
+    make_episode: Callable[[Any], Episode]  # in NumPy
+    init_task: Callable[[Array, Any, Episode], tuple[dict[str, Any], Array]]
+    targets: Callable[[Episode, Any, Any, Array], Any]
+    evaluate: Callable[..., tuple[dict[str, Any], Array]]
+
+
+class NativeRows:
+    """Resets and steps environments of C MuJoCo.
+
+    Args:
+        physics: of the environments.
+        stages: around it.
+        metric_names: of ``State.metrics``.
+    """
+
+    def __init__(self, physics: NativePhysics, stages: Stages, metric_names: tuple[str, ...]):
+        self.size = ROWS
+        self.physics, self._stages, self._metric_names = physics, stages, metric_names
+        whole = lambda f: jax.jit(jax.vmap(full_precision(f)))  # noqa: E731
+        self._sample = whole(stages.sample)
+        self._init_task = whole(self._begin)
+        self._targets = whole(self._aim)
+        self._evaluate = whole(self._finish)
+        self._split = jax.jit(jax.vmap(jax.random.split))
+
+    @classmethod
+    def of(cls, env: Any) -> NativeRows:
+        """Of an ``AssistiveEnv``."""
+
+        def begin(sample: Any) -> Episode:
+            return make_episode(env.scene, env.task.human, sample, np)
+
+        around = (env._begin_task, env._control_targets, env._evaluate_step)
+        return cls(env.physics, Stages(env._sample_episode, begin, *around), env.metric_names)
+
+    # -- what is compiled, for one environment ---------------------------------------------------
+
+    def _begin(self, key: Array, numbers: Array, episode: Episode) -> Any:
+        data = NativeData(numbers, self.physics.layout)
+        return self._stages.init_task(key, data, episode)
+
+    def _aim(self, people: Any, moving: Any, numbers: Array, task: Any, action: Array) -> Any:
+        data = NativeData(numbers, self.physics.layout)
+        return self._stages.targets(_episode(people, moving), data, task, action)
+
+    def _finish(
+        self, people: Any, moving: Any, numbers: Array, sensors: Array, samples: Array,
+        task: Any, quats: Array, targets: Any,
+    ) -> Any:  # fmt: skip
+        data = NativeData(numbers, self.physics.layout)
+        sums, motion = self.physics.sums(sensors, samples)
+        episode = _episode(people, moving)
+        return self._stages.evaluate(data, sums, motion, task, quats, episode, targets)
+
+    # -- rows of a slot --------------------------------------------------------------------------
+
+    def split(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of each key the next episode's, and what the environment keeps (n, 2)."""
+        split = np.asarray(self._split(full_rows(keys)))[: len(keys)]
+        return split[:, 0], split[:, 1]
+
+    def reset(self, slot: Slot, keys: np.ndarray) -> dict[str, Any]:
+        """Begin episodes.
+
+        Args:
+            slot: that takes them.
+            keys: raw PRNG keys (n, 2), n at most ``ROWS``.
+
+        Returns:
+            Fields of ``State`` (n, ...), without what a finished step leaves.
+        """
+        n = len(keys)
+        drawn, key_task, key = jax.device_get(self._sample(full_rows(keys)))
+        each = [
+            self._stages.make_episode(jax.tree.map(lambda x, i=i: x[i], drawn)) for i in range(n)
+        ]
+        episode = jax.tree.map(lambda *x: np.stack(x), *each)
+        slot.load(episode, slice(0, n))
+        numbers = slot.reset(np.ones(n, bool))
+        whole = jax.tree.map(full_rows, episode)
+        seen, success = jax.device_get(self._init_task(key_task, full_rows(numbers), whole))
+        zero = np.zeros(n, np.float32)
+        metrics = dict.fromkeys(self._metric_names, zero) | {"success": success[:n]}
+        fields = {"reward": zero, "done": zero, "metrics": metrics, "episode": episode}
+        fields |= {"regions": jax.tree.map(lambda x: np.zeros((n, *x.shape), x.dtype), no_forces())}
+        fields |= jax.tree.map(lambda x: x[:n], seen | {"key": key})
+        return fields | {"data": NativeData(numbers, self.physics.layout)}
+
+    def step(self, slot: Slot, state: State, part: slice, action: np.ndarray) -> dict[str, Any]:
+        """One control step.
+
+        Args:
+            slot: of these environments.
+            state: of all environments (num_envs, ...).
+            part: the slot's.
+            action: theirs, float32 (n, n_action).
+
+        Returns:
+            Fields of ``State`` that change, the episode's as ``human_target`` and ``step`` (n, ...).
+        """
+        n, episode = len(action), state.episode
+        rows = lambda tree: jax.tree.map(lambda x: full_rows(np.asarray(x)[part]), tree)  # noqa: E731
+        slot.load(episode, part)
+        numbers = np.asarray(state.data.numbers)[part]
+        moving = rows((episode.human_target, episode.step))
+        task, quats = rows((state.task, state.quats))
+        before = full_rows(numbers)
+        targets = self._targets(slot.people, moving, before, task, full_rows(action))
+        numbers, sensors, samples = slot.step(numbers, targets)
+        after, clock = self._evaluate(
+            slot.people, moving, full_rows(numbers), sensors, samples, task, quats, targets
+        )
+        found = jax.tree.map(
+            lambda x: np.asarray(x)[:n], after | {"human_target": targets.hold, "step": clock}
+        )
+        return found | {"data": NativeData(numbers, self.physics.layout)}
+
+    # -- one environment -------------------------------------------------------------------------
+
+    def reset_one(self, key: np.ndarray) -> State:
+        """A new episode from a raw key (2,)."""
+        slot = self.physics.alone
+        with slot.lock:
+            fields = self.reset(slot, np.asarray(key)[None])
+        return State(info={}, **jax.tree.map(lambda x: x[0], fields))
+
+    def reset_one_where(self, state: State, where: Any) -> State:
+        """A new episode if ``where``, from the state's key."""
+        if not np.asarray(where):
+            return state
+        key, key_next = self.split(np.asarray(raw_key(state.key))[None])
+        fresh = self.reset_one(key[0])
+        kept = {
+            name: getattr(state, name) for name in ("reward", "done", "metrics", "info", "regions")
+        }
+        return fresh.replace(key=key_next[0], **kept)
+
+    def step_one(self, state: State, action: np.ndarray) -> State:
+        """One control step of one environment."""
+        slot = self.physics.alone
+        batch = jax.tree.map(lambda x: np.asarray(x)[None], state.replace(info={}))
+        with slot.lock:
+            fields = self.step(slot, batch, slice(0, 1), action[None])
+        return moved(state, jax.tree.map(lambda x: x[0], fields))
+
+
+def _episode(people: Any, moving: Any) -> Episode:
+    """An episode from what stays and what moves."""
+    return dataclasses.replace(people, human_target=moving[0], step=moving[1])

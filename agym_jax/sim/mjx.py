@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from jax import Array
 
-from agym_jax.compat import mjx_quat, mjx_trace
+from agym_jax.compat import lapack_batches, mjx_quat, mjx_trace
 from agym_jax.compat.mjx_print import mjx
 from agym_jax.compat.warp_kernels import compile_kernels, wait_for_kernels
 from agym_jax.compat.warp_streams import hold_streams
@@ -32,6 +32,7 @@ from agym_jax.sim.sensing import (
 )
 from agym_jax.state import Episode, strong
 
+lapack_batches.apply()
 mjx_quat.apply()
 mjx_trace.apply()
 

@@ -193,7 +193,7 @@ class NativePhysics:
             xp: numpy or jax.numpy.
         """
         index, at = self.scene.index, NativeData(samples, self.sampled)
-        contacts = total_contacts(read_contacts(index, sensors, xp))
+        contacts = total_contacts(read_contacts(index, sensors, xp), xp)
         return contacts, motion_of(index, sample_poses(index, at, xp), xp)
 
     def overflow(self, data: NativeData) -> Array:

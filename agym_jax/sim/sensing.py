@@ -75,15 +75,16 @@ def add_contacts(index: Index, sums: ContactSums, sensordata: Array) -> ContactS
     return replace(total, regions=RegionForces.of(total.regions.mean, peaks))
 
 
-def total_contacts(readings: ContactSums) -> ContactSums:
-    """The sums that readings of all physics steps make, NumPy.
+def total_contacts(readings: ContactSums, xp: Any = np) -> ContactSums:
+    """The sums that readings of all physics steps make.
 
     Args:
         readings: from ``read_contacts``, with a leading axis of physics steps.
+        xp: numpy or jax.numpy.
     """
     total = jax.tree.map(lambda x: x.sum(axis=0), readings)
     peaks = readings.regions.peak.max(axis=0)
-    return replace(total, regions=RegionForces.of(total.regions.mean, peaks, np))
+    return replace(total, regions=RegionForces.of(total.regions.mean, peaks, xp))
 
 
 def read_contacts(index: Index, sensordata: Any, xp: Any = jnp) -> ContactSums:

@@ -7,6 +7,7 @@ chosen policy is copied into the run's folder, where ``evaluate``, ``enjoy`` and
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import sys
@@ -54,6 +55,8 @@ class SelectConfig:
     """Seed of the episodes over which a seed is chosen."""
     report_seed: int = 1001
     """Seed of the episodes over which the chosen one is reported."""
+    gently: bool | None = None
+    """Choose the seed with most gentle successes instead of most successes; None: if the run had a --cost-limit."""
     shipped: bool = True
     """Measure the policy that ships with agym_jax over the same people as the chosen one, if there is one."""
     impl: str = "auto"
@@ -95,6 +98,14 @@ def load_seeds(
     return env, {seed: load_policy(folder, env) for seed, folder in folders.items()}
 
 
+def had_limit(run: Path) -> bool:
+    """Whether a run was trained with ``--cost-limit``."""
+    settings = run / "config.json"
+    if not settings.is_file():
+        return False
+    return json.loads(settings.read_text())["config"].get("cost_limit") is not None
+
+
 def check(config: SelectConfig) -> None:
     """Refuse a choice that means nothing, before anything is built.
 
@@ -114,7 +125,9 @@ def select(
     evaluator: Evaluator, policies: dict[int, AnyPolicy], config: SelectConfig
 ) -> tuple[SeedScores, EvaluationResult]:
     """Measure all, choose the best, measure that again."""
-    scores = score_seeds(evaluator, policies, jax.random.PRNGKey(config.seed))
+    gently = had_limit(Path(config.run)) if config.gently is None else config.gently
+    key = jax.random.PRNGKey(config.seed)
+    scores = score_seeds(evaluator, policies, key, gently=gently)
     return scores, evaluator(policies[scores.best], jax.random.PRNGKey(config.report_seed))
 
 
@@ -163,6 +176,7 @@ def main(
             "selection",
             **scores.summary(),
             chosen=scores.best,
+            chosen_gently=scores.gently,
             reported=summary,
             shipped=ships.summary() if ships else None,
             shipped_unfit=unfit,

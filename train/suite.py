@@ -33,13 +33,7 @@ from agym_jax.registry import parse
 from .configs import Count, config_for, parse_count
 from .errors import ConfigError
 from .runs.children import Children, claim, own_program, visible_gpus
-from .runs.overview import (
-    JOURNAL,
-    markdown,
-    read_rows,
-    selection_of,
-    training_summary,
-)
+from .runs.overview import JOURNAL, markdown, read_rows, selection_of, training_summary
 from .runs.plots import plot_runs
 from .runs.progress import duration
 
@@ -313,15 +307,16 @@ def write_results(config: SuiteConfig, ids: Sequence[str]) -> None:
 
 def describe(outcome: Outcome) -> str:
     """A line of the table, or what failed."""
-    name, took = f"{outcome.env_name:<28}", duration(outcome.seconds)
-    took = "finished before" if outcome.kept else took
+    name = f"{outcome.env_name:<28}"
+    took = "finished before" if outcome.kept else duration(outcome.seconds)
     if outcome.line is None:
         return f"{name} failed after {took}:\n{outcome.problem}"
     if not outcome.line:
         return f"{name} trained in {took}"
     x = outcome.line
+    gentle = f", gently {x['chosen_gentle_success']:.1%}" if "chosen_gentle_success" in x else ""
     return (
-        f"{name} chosen {x['chosen_success']:6.1%}   of {len(x['seeds'])} seeds: interquartile mean "
+        f"{name} chosen {x['chosen_success']:6.1%}{gentle}   of {len(x['seeds'])} seeds: interquartile mean "
         f"{x['success_iqm']:6.1%}, worst {min(x['success_of_seeds']):6.1%}   {took}"
     )
 

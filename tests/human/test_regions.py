@@ -138,7 +138,7 @@ def test_means_and_peaks_of_a_control_step(scratcher):
     chest = index.touch[index.touch_region == NAMES.index("chest")]
     rows[:, forearm[0]], rows[:, forearm[1]] = [0, -3, 5, 2, 0], [0, 0, 2, 0, 0]
     rows[3, chest[-1]] = 1.5
-    sums, total = total_contacts(read_contacts(index, rows, np)), no_contacts(index)
+    sums, total = total_contacts(read_contacts(index, rows, np), np), no_contacts(index)
     for row in rows:
         total = add_contacts(index, total, jnp.asarray(row))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), sums, total)

@@ -148,7 +148,7 @@ def test_touch_in_numpy_is_the_touch_in_jax(native: agym_jax.Env):
     total = no_contacts(index)
     for row in rows:
         total = add_contacts(index, total, jnp.asarray(row))
-    mine = total_contacts(read_contacts(index, rows, np))
+    mine = total_contacts(read_contacts(index, rows, np), np)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), mine, total)
     assert float(total.robot_human) > 0 and total.tools[0].moment.shape[1] == 3
 

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 from fake_env import FakeEnv
+from fake_press_env import FakePressEnv
 
 from agym_jax.policy.policy import read_policy
 from train import compare, select
 from train.configs import PPOConfig
+from train.evaluation.gentleness import Gentleness
 from train.evaluation.score import EvaluationResult
 from train.evaluation.seed_scores import SeedScores
 from train.ppo import train
@@ -56,6 +59,33 @@ def test_scores_of_seeds():
     assert summary["success_iqm"] == pytest.approx(0.625)  # the mean of 0.5 and 0.75
     assert summary["success_iqm_low"] < 0.625 < summary["success_iqm_high"]
     assert "interquartile mean of success: 62.5%" in found.table()
+
+
+def test_seeds_can_be_ranked_by_gentle_success():
+    found = scores([1, 1, 1, 1], [1, 1, 1, 0])
+    harsh = [np.array([0.0, 5.0, 5.0, 0.0]), np.zeros(4)]
+    results = {
+        seed: dataclasses.replace(
+            x, gentleness=Gentleness(np.ones(4), over, np.zeros(4), np.full(4, 20.0))
+        )
+        for (seed, x), over in zip(found.results.items(), harsh, strict=True)
+    }
+    assert SeedScores(results).best == 5 and SeedScores(results, gently=True).best == 6
+    assert SeedScores(found.results, gently=True).best == 5  # where it is not measured
+    assert SeedScores(results).summary()["gentle_success_of_seeds"] == [0.5, 0.75]
+    assert "gentle  75.0%" in SeedScores(results).table()
+
+
+def test_a_run_with_a_cost_limit_is_chosen_by_gentle_success(tmp_path, capsys):
+    limited = dataclasses.replace(SHORT, save_dir=str(tmp_path), cost_limit=1.0)
+    run = str(train(FakePressEnv(), limited).folder)
+    make_press = lambda name, impl: FakePressEnv(name=name)  # noqa: E731
+    for more, gently in (([], True), (["--gently", "False"], False)):
+        out = tmp_path / f"{gently}.jsonl"
+        words = [run, "--num-episodes", "8", "--json", str(out), *more]
+        assert select.main(words, make_press) == 0
+        line = json.loads(out.read_text())
+        assert line["chosen_gently"] is gently and 0 <= line["chosen_gentle_success"] <= 1
 
 
 def test_the_chosen_seed_is_reported_over_other_episodes_and_ready_for_use(runs, tmp_path, capsys):

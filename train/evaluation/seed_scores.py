@@ -22,9 +22,11 @@ class SeedScores:
 
     Attributes:
         results: seed -> its evaluation, over the same episodes.
+        gently: whether seeds are ranked by gentle success; where that is not measured, by success.
     """
 
     results: Mapping[int, EvaluationResult]
+    gently: bool = False
 
     @property
     def successes(self) -> np.ndarray:
@@ -38,17 +40,19 @@ class SeedScores:
 
     @property
     def best(self) -> int:
-        """The seed with most successes, of equal ones that of the highest return."""
-        return max(
-            self.results, key=lambda s: (self.results[s].success, self.results[s].returns.mean())
-        )
+        """The seed with most (gentle) successes, of equal ones that of the highest return."""
+        return max(self.results, key=self._rank)
 
     @property
     def worst(self) -> int:
-        """The seed with fewest successes, of equal ones that of the lowest return."""
-        return min(
-            self.results, key=lambda s: (self.results[s].success, self.results[s].returns.mean())
-        )
+        """The seed with fewest (gentle) successes, of equal ones that of the lowest return."""
+        return min(self.results, key=self._rank)
+
+    def _rank(self, seed: int) -> tuple[float, float, float]:
+        found = self.results[seed]
+        gentle = found.gentle_success if self.gently else None
+        first = found.success if gentle is None else gentle
+        return first, found.success, float(found.returns.mean())
 
     def table(self) -> str:
         """The seeds, and what they make together, for people."""
@@ -104,6 +108,7 @@ def score_seeds(
     policies: Mapping[int, AnyPolicy],
     key: jax.Array,
     deterministic: bool = True,
+    gently: bool = False,
 ) -> SeedScores:
     """Run the same episodes with the policy of each seed.
 
@@ -112,5 +117,6 @@ def score_seeds(
         policies: seed -> policy.
         key: decides the episodes.
         deterministic: take the mode of the policies' distributions.
+        gently: rank them by gentle success.
     """
-    return SeedScores({s: evaluator(p, key, deterministic) for s, p in policies.items()})
+    return SeedScores({s: evaluator(p, key, deterministic) for s, p in policies.items()}, gently)

@@ -141,7 +141,9 @@ def cells(selection: Mapping[str, Any], training: Mapping[str, Any] | None) -> l
     each = selection["success_of_seeds"]
     lost = training["num_seeds"] - training["seeds_at_end"] if training else 0
     low, high = selection["success_iqm_low"], selection["success_iqm_high"]
-    size, reached, took = str(len(each)), "", ""
+    size, reached, took, gentle = str(len(each)), "", "", ""
+    if "chosen_gentle_success" in selection:
+        gentle = f", gently {share(selection['chosen_gentle_success'])}"
     if training:
         size = f"{len(each)} x {training['num_env_steps'] / 1e6:.3g} M"
         reached = "not reached"
@@ -158,7 +160,7 @@ def cells(selection: Mapping[str, Any], training: Mapping[str, Any] | None) -> l
         share(min(each)),
         f"{share(selection['success_iqm'])} ({share(low)} to {share(high)})",
         share(max(each)),
-        f"{selection['chosen']}: {share(selection['chosen_success'])}",
+        f"{selection['chosen']}: {share(selection['chosen_success'])}{gentle}",
         reached,
         took,
     ]

@@ -87,9 +87,7 @@ class AssistiveEnv:
         self.name = f"{task.name}{robot.name}{'Human' if active else ''}-v0"
         self.episode_length = task.episode_length
         self.controller = Controller.of(self.scene, task, active, self.humans.masses)
-        self.physics = build_physics(
-            self.impl, self.scene, self.controller, task.control.frame_skip, num_envs
-        )
+        self.physics = build_physics(self.impl, self.scene, self.controller, task, num_envs)
         self._bank = load_bank(task, robot)
         self.native_rows = None if self.physics.traceable else native_rows_of(self)
         if not self.native_rows:

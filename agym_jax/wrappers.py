@@ -124,12 +124,12 @@ class NativeVectorEnv(VectorEnv):
     def __init__(self, env: Any, num_envs: int, num_threads: int | None = None):
         super().__init__(env, num_envs)
         wanted = num_threads or len(os.sched_getaffinity(0))
-        rows, physics = env.native_rows, env.physics
-        count = -(-num_envs // rows.size)  # slots
+        physics = env.physics
+        count = -(-num_envs // physics.rows[1])  # slots
         count = min(num_envs, -(-count // wanted) * wanted)
         ends = [num_envs * i // count for i in range(count + 1)]
         self.num_threads = min(wanted, count)
-        self._slots = [(physics.slot(), slice(a, b)) for a, b in pairwise(ends)]
+        self._slots = [(physics.slot(num_envs), slice(a, b)) for a, b in pairwise(ends)]
         self._pool = ThreadPoolExecutor(self.num_threads, thread_name_prefix="agym_jax")
 
     def reset(self, key: Array) -> Any:
@@ -158,7 +158,7 @@ class NativeVectorEnv(VectorEnv):
                 finished = np.flatnonzero(fields["done"] > 0)
                 if not len(finished):
                     return fields, None
-                keys, keys_next = rows.split(np.asarray(state.key[part])[finished])
+                keys, keys_next = rows.split(slot, np.asarray(state.key[part])[finished])
                 fresh = rows.reset(slot, keys) | {"key": keys_next}
                 return fields, (finished + part.start, fresh)
 

@@ -38,7 +38,7 @@ class CompareConfig:
     seed: int = 1001
     """Seed of the episodes, the same for all."""
     impl: str = "auto"
-    """Physics: "jax", "warp" or "auto"."""
+    """Physics: "jax", "warp", "native" or "auto"."""
     json: str | None = None
     """File to which the result is added as a JSON line."""
 

@@ -61,7 +61,8 @@ class LearnConfig:
     """Independent trainings side by side, with the seeds seed, seed + 1, ...; num_envs and num_env_steps are
     those of each. Their policies and curves are in folders seed_1, seed_2, ... of the run."""
     impl: str = "auto"
-    """Physics: "jax", "warp", or "auto" (Warp on an NVIDIA GPU where it is installed)."""
+    """Physics: "jax" and "warp" (MJX), "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU where it
+    is installed."""
     devices: Count = 0
     """Accelerators that share the environments; 0 = all there are."""
     hosts: str | None = None

@@ -53,7 +53,7 @@ class CrossplayConfig:
     seed: int = 1001
     """Seed of the episodes, the same for all pairs."""
     impl: str = "auto"
-    """Physics: "jax", "warp" or "auto"."""
+    """Physics: "jax", "warp", "native" or "auto"."""
     json: str | None = None
     """File to which the result of each pair is added as a JSON line."""
 

@@ -13,10 +13,16 @@ from .errors import ActiveHumanError
 
 
 def make_env(env_name: str, impl: str = "auto") -> Any:
-    """An environment by its id."""
+    """An environment by its id; on a CPU, ``"auto"`` is C MuJoCo, as nothing here traces through the physics."""
     import agym_jax
+    from agym_jax.sim.physics import choose_impl
 
-    return agym_jax.make(env_name, impl=impl)
+    return agym_jax.make(env_name, impl=choose_impl(impl, traced=False))
+
+
+def is_native(env: Any) -> bool:
+    """Whether an environment, or a batch of them, is C MuJoCo's, whose functions are called from Python."""
+    return getattr(env, "impl", None) == "native"
 
 
 def vectorize(env: Any, num_envs: int) -> Any:

@@ -1,6 +1,6 @@
 """Measure a policy: ``agym-jax evaluate --env-name ScratchItchJaco-v0 --num-episodes 100``.
 
-All episodes run side by side in one compiled call. As in Assistive Gym's 100-episode evaluation:
+Episodes run side by side. As in Assistive Gym's 100-episode evaluation:
 return, mean over the steps of the force on the person, and success at the last step.
 """
 
@@ -40,7 +40,7 @@ def evaluate(
     Args:
         env: environment or its id.
         policy: a ``Policy``, a ``Pair`` of them, ``"zero"``, ``"random"``, or a function like one.
-        num_episodes: how many, all at once; one after another on ``impl="native"``.
+        num_episodes: how many.
         key: random key or seed.
         impl: physics, if ``env`` is an id.
         deterministic: take the mode of the policy's distribution.
@@ -76,7 +76,7 @@ class EvaluateConfig:
     non_det: bool = False
     """Sample actions instead of taking the mode."""
     impl: str = "auto"
-    """Physics: "jax", "warp" or "auto"; "native": one environment after another on C MuJoCo."""
+    """Physics: "jax", "warp", "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU where it is installed."""
     any_env: bool = False
     """Accept a policy of another environment with the same observation layout."""
     json: str | None = None

@@ -60,7 +60,7 @@ class SelectConfig:
     shipped: bool = True
     """Measure the policy that ships with agym_jax over the same people as the chosen one, if there is one."""
     impl: str = "auto"
-    """Physics: "jax", "warp" or "auto"."""
+    """Physics: "jax", "warp", "native" or "auto"."""
     json: str | None = None
     """File to which the result is added as a JSON line."""
 

@@ -60,7 +60,7 @@ class SweepConfig:
     seed: int = 1
     """First seed, and that of the random combinations."""
     impl: str = "auto"
-    """Physics: "jax", "warp" or "auto"."""
+    """Physics: "jax", "warp", "native" or "auto"."""
     save_dir: str | None = "sweeps"
     """Folder of the results. None writes nothing."""
 

@@ -46,7 +46,7 @@ class _Programs(NamedTuple):
 
 @cache
 def _programs(env_id: str, impl: str, humans: Population | None) -> _Programs:
-    env = agym_jax.make(env_id, impl=choose_impl(impl, single_env=True), humans=humans)
+    env = agym_jax.make(env_id, impl=choose_impl(impl, traced=False), humans=humans)
     return _Programs(env, *env.jit_functions())
 
 

@@ -5,7 +5,7 @@ It gets the same model, the same people written into it and the same draws, and 
 the physics is the same code, compiled in small pieces. Trajectories agree with those of MJX as far
 as float64 agrees with float32; MJX keeps the 8 deepest contacts of an environment, C MuJoCo keeps all.
 
-A ``Slot`` steps up to ``ROWS`` environments on the thread that calls it. Compiled programs always get all its rows, so
+A ``Slot`` steps a few environments on the thread that calls it. Compiled programs always get all its rows, so
 what happens in an environment does not depend on how many there are beside it, nor on the number of threads.
 """
 
@@ -33,8 +33,9 @@ from agym_jax.sim.scene import Scene
 from agym_jax.sim.sensing import ContactSums, motion_of, read_contacts, sample_poses, total_contacts
 from agym_jax.state import Episode
 
-ROWS = 32
-"""Of a slot. More spare calls; fewer spare a single environment the arithmetic of those that are not there."""
+ROWS = (32, 32)
+"""Of the slot of a single environment, and of those of a batch, unless the task has its own ``cpu_rows``. More spare calls;
+fewer spare the arithmetic of rows that are empty. Between slots of different size results differ by rounding."""
 Layout = tuple[tuple[str, int, int, tuple[int, ...]], ...]
 """Name, start, stop and shape of each field in ``NativeData.numbers``."""
 MOTION = ("qpos", "qvel", "qacc_warmstart", "qfrc_bias", "M")
@@ -124,11 +125,19 @@ class NativePhysics:
         scene: what is in the world.
         controller: of its joints.
         frame_skip: physics steps of a control step.
+        rows: see ``ROWS``.
     """
 
     traceable = False
 
-    def __init__(self, scene: Scene, controller: Controller, frame_skip: int):
+    def __init__(
+        self,
+        scene: Scene,
+        controller: Controller,
+        frame_skip: int,
+        rows: tuple[int, int] = ROWS,
+    ):
+        self.rows = rows
         self.scene, self.controller, self.frame_skip = scene, controller, frame_skip
         self.model = controller.model_of(_own_model(scene))
         empty = mujoco.MjData(self.model)
@@ -148,9 +157,10 @@ class NativePhysics:
         """The same: it takes any number of slots."""
         return self
 
-    def slot(self) -> Slot:
-        """A new slot."""
-        return Slot(self, persistent=self.watcher is not None)
+    def slot(self, num_envs: int = 1) -> Slot:
+        """A new slot, of so many environments."""
+        rows = self.rows[0] if num_envs == 1 else self.rows[1]
+        return Slot(self, rows, persistent=self.watcher is not None)
 
     @property
     def alone(self) -> Slot:
@@ -179,7 +189,8 @@ class NativePhysics:
         """One control step of one environment. Its ``qpos`` are NaN if it goes non-finite."""
         with self.alone.lock:
             self.alone.load(jax.tree.map(lambda x: np.asarray(x)[None], episode), slice(0, 1))
-            targets = jax.tree.map(lambda x: full_rows(np.asarray(x, np.float32)[None]), targets)
+            whole = lambda x: self.alone.fill(np.asarray(x, np.float32)[None])  # noqa: E731
+            targets = jax.tree.map(whole, targets)
             numbers, sensors, samples = self.alone.step(data.numbers[None], targets)
             contacts, motion = self.sums(sensors[0], samples[0], np)
             return NativeData(numbers[0], self.layout), contacts, motion
@@ -202,27 +213,28 @@ class NativePhysics:
 
 
 class Slot:
-    """Up to ``ROWS`` environments, stepped by the thread that calls; hold its ``lock`` meanwhile.
+    """Some environments, stepped by the thread that calls; hold its ``lock`` meanwhile.
 
     Args:
         physics: of the environments.
+        rows: most environments.
         persistent: whether MuJoCo keeps all data of every environment, for a watcher.
     """
 
-    def __init__(self, physics: NativePhysics, persistent: bool = False):
-        self.physics, self.lock = physics, threading.Lock()
-        self.batch = batch = Batch(physics.model, ROWS, 1, persistent)
+    def __init__(self, physics: NativePhysics, rows: int, persistent: bool = False):
+        self.physics, self.rows, self.lock = physics, rows, threading.Lock()
+        self.batch = batch = Batch(physics.model, rows, 1, persistent)
         batch.warning[:] = 1  # MuJoCo logs a first warning into the current folder
         self._own: list[Any] = []  # leaves of the episodes that are loaded
-        self._rows: list[np.ndarray] = []  # the same, of this slot's rows
+        self._parts: list[np.ndarray] = []  # the same, of this slot's rows
         self.people: Any = None
         self.muscles: Muscles | None = None
         self._solref = batch.expand("dof_solref")
         self._state = {name: batch.bind(name) for name in MOTION[:3]}
         self._applied = batch.bind("qfrc_applied")
         outputs = ("M", "qfrc_bias", "sensordata", *FORCES, *POSES)
-        self._out = {name: batch.bind(name).reshape(ROWS, -1) for name in outputs}
-        self._drive_input = np.zeros((ROWS, physics.drive.inputs), np.float32)
+        self._out = {name: batch.bind(name).reshape(rows, -1) for name in outputs}
+        self._drive_input = np.zeros((rows, physics.drive.inputs), np.float32)
 
     def load(self, episode: Episode, part: slice) -> None:
         """Write the people of these rows into the model, where they are not yet.
@@ -237,23 +249,29 @@ class Slot:
             a is b for a, b in zip(leaves, self._own, strict=True)
         ):
             return
-        rows = [full_rows(np.asarray(x)[part]) for x in leaves]
-        changed = np.full(ROWS, not self._rows)
-        for new, old in zip(rows, self._rows, strict=False):
-            changed |= (new != old).reshape(ROWS, -1).any(axis=1)
-        self._own, self._rows = leaves, rows
+        parts = [self.fill(np.asarray(x)[part]) for x in leaves]
+        changed = np.full(self.rows, not self._parts)
+        for new, old in zip(parts, self._parts, strict=False):
+            changed |= (new != old).reshape(self.rows, -1).any(axis=1)
+        self._own, self._parts = leaves, parts
         if not changed.any():
             return
-        self.people = jax.device_put(jax.tree.unflatten(tree, rows))
+        self.people = jax.device_put(jax.tree.unflatten(tree, parts))
         fields, self.muscles = self.physics.written(self.people)
         for name, value in fields.items():
             self.batch.expand(name)[changed] = np.asarray(value)[changed]
+
+    def fill(self, x: np.ndarray) -> np.ndarray:
+        """All rows of an array: those that are missing as the first (rows, ...)."""
+        if len(x) == self.rows:
+            return x
+        return np.concatenate([x, np.broadcast_to(x[:1], (self.rows - len(x), *x.shape[1:]))])
 
     def reset(self, where: np.ndarray) -> np.ndarray:
         """Environments at rest as the loaded episodes begin.
 
         Args:
-            where: which rows (n,), n at most ``ROWS``; what the others hold means nothing.
+            where: which rows (n,), n at most ``rows``; what the others hold means nothing.
 
         Returns:
             ``NativeData.numbers`` of the rows (n, all).
@@ -277,8 +295,8 @@ class Slot:
         The ``qpos`` of an environment that goes non-finite are NaN; the others do not notice.
 
         Args:
-            numbers: of ``NativeData`` (n, all), n at most ``ROWS``.
-            targets: to the joints (ROWS, ...).
+            numbers: of ``NativeData`` (n, all), n at most ``rows``.
+            targets: to the joints (rows, ...).
 
         Returns:
             Numbers after it (n, all), and of each physics step the contact sensors (n, steps, nsensordata) and
@@ -290,8 +308,8 @@ class Slot:
             field[:n] = getattr(data, name)
         given = [data.qpos, data.qvel, data.M, data.qfrc_bias]
         alive, watcher = np.ones(n, bool), physics.watcher
-        sensors = np.zeros((ROWS, steps, self._out["sensordata"].shape[1]), np.float32)
-        samples = np.zeros((ROWS, steps + 1, physics.sampled[-1][2]), np.float32)
+        sensors = np.zeros((self.rows, steps, self._out["sensordata"].shape[1]), np.float32)
+        samples = np.zeros((self.rows, steps + 1, physics.sampled[-1][2]), np.float32)
         with np.errstate(over="ignore", invalid="ignore"):
             last = physics.drive.first(self._drive_input, given)
             for k in range(steps):
@@ -328,14 +346,14 @@ class Slot:
 
     def _step(self, alive: np.ndarray) -> None:
         """One physics step; ``alive`` (n,) becomes false where MuJoCo could not take it."""
-        ids = None if len(alive) == ROWS and alive.all() else np.flatnonzero(alive)
+        ids = None if len(alive) == self.rows and alive.all() else np.flatnonzero(alive)
         try:
             self.batch.step(ids)
         except SimulationError as error:
             alive[error.ids] = False
 
     def _sound(self) -> np.ndarray:
-        """Where C MuJoCo can go on: all numbers are finite, and fit into float32 (ROWS,)."""
+        """Where C MuJoCo can go on: all numbers are finite, and fit into float32 (rows,)."""
         fields = (self._state["qpos"], self._state["qvel"])
         return np.all([np.abs(x).max(axis=1) < mujoco.mjMAXVAL for x in fields], axis=0)
 
@@ -357,7 +375,7 @@ class Slot:
         self._state["qvel"][np.ix_(rows, index.human_dof)] = v[rows]
 
     def _numbers(self, inertia: np.ndarray, bias: np.ndarray) -> np.ndarray:
-        """``NativeData.numbers`` of all rows (ROWS, all)."""
+        """``NativeData.numbers`` of all rows (rows, all)."""
         poses = [self._out[name] for name in POSES]
         return np.concatenate([*self._state.values(), bias, inertia, *poses], axis=1)
 
@@ -366,13 +384,6 @@ def _people_of(episode: Episode) -> People:
     """What of an episode stays as it was drawn."""
     nothing: Any = None
     return dataclasses.replace(episode, human_target=nothing, step=nothing)
-
-
-def full_rows(x: np.ndarray) -> np.ndarray:
-    """Rows of a slot: those that are missing as the first (ROWS, ...)."""
-    if len(x) == ROWS:
-        return x
-    return np.concatenate([x, np.broadcast_to(x[:1], (ROWS - len(x), *x.shape[1:]))])
 
 
 def _own_model(scene: Scene) -> mujoco.MjModel:

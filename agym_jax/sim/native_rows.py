@@ -1,4 +1,4 @@
-"""An environment's functions around C MuJoCo, for the rows of a slot: compiled for ``ROWS`` at once, called from Python."""
+"""An environment's functions around C MuJoCo, for the rows of a slot: compiled for all rows at once, called from Python."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jax import Array
 
 from agym_jax.human.regions import no_forces
 from agym_jax.jax_settings import full_precision
-from agym_jax.sim.c_mujoco import ROWS, NativeData, NativePhysics, Slot, full_rows
+from agym_jax.sim.c_mujoco import NativeData, NativePhysics, Slot
 from agym_jax.sim.episode import make_episode
 from agym_jax.state import Episode, State, moved, raw_key
 
@@ -37,7 +37,6 @@ class NativeRows:
     """
 
     def __init__(self, physics: NativePhysics, stages: Stages, metric_names: tuple[str, ...]):
-        self.size = ROWS
         self.physics, self._stages, self._metric_names = physics, stages, metric_names
         whole = lambda f: jax.jit(jax.vmap(full_precision(f)))  # noqa: E731
         self._sample = whole(stages.sample)
@@ -77,9 +76,9 @@ class NativeRows:
 
     # -- rows of a slot --------------------------------------------------------------------------
 
-    def split(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def split(self, slot: Slot, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of each key the next episode's, and what the environment keeps (n, 2)."""
-        split = np.asarray(self._split(full_rows(keys)))[: len(keys)]
+        split = np.asarray(self._split(slot.fill(keys)))[: len(keys)]
         return split[:, 0], split[:, 1]
 
     def reset(self, slot: Slot, keys: np.ndarray) -> dict[str, Any]:
@@ -87,21 +86,21 @@ class NativeRows:
 
         Args:
             slot: that takes them.
-            keys: raw PRNG keys (n, 2), n at most ``ROWS``.
+            keys: raw PRNG keys (n, 2), n at most the slot's.
 
         Returns:
             Fields of ``State`` (n, ...), without what a finished step leaves.
         """
         n = len(keys)
-        drawn, key_task, key = jax.device_get(self._sample(full_rows(keys)))
+        drawn, key_task, key = jax.device_get(self._sample(slot.fill(keys)))
         each = [
             self._stages.make_episode(jax.tree.map(lambda x, i=i: x[i], drawn)) for i in range(n)
         ]
         episode = jax.tree.map(lambda *x: np.stack(x), *each)
         slot.load(episode, slice(0, n))
         numbers = slot.reset(np.ones(n, bool))
-        whole = jax.tree.map(full_rows, episode)
-        seen, success = jax.device_get(self._init_task(key_task, full_rows(numbers), whole))
+        whole = jax.tree.map(slot.fill, episode)
+        seen, success = jax.device_get(self._init_task(key_task, slot.fill(numbers), whole))
         zero = np.zeros(n, np.float32)
         metrics = dict.fromkeys(self._metric_names, zero) | {"success": success[:n]}
         fields = {"reward": zero, "done": zero, "metrics": metrics, "episode": episode}
@@ -122,16 +121,16 @@ class NativeRows:
             Fields of ``State`` that change, the episode's as ``human_target`` and ``step`` (n, ...).
         """
         n, episode = len(action), state.episode
-        rows = lambda tree: jax.tree.map(lambda x: full_rows(np.asarray(x)[part]), tree)  # noqa: E731
+        rows = lambda tree: jax.tree.map(lambda x: slot.fill(np.asarray(x)[part]), tree)  # noqa: E731
         slot.load(episode, part)
         numbers = np.asarray(state.data.numbers)[part]
         moving = rows((episode.human_target, episode.step))
         task, quats = rows((state.task, state.quats))
-        before = full_rows(numbers)
-        targets = self._targets(slot.people, moving, before, task, full_rows(action))
+        before = slot.fill(numbers)
+        targets = self._targets(slot.people, moving, before, task, slot.fill(action))
         numbers, sensors, samples = slot.step(numbers, targets)
         after, clock = self._evaluate(
-            slot.people, moving, full_rows(numbers), sensors, samples, task, quats, targets
+            slot.people, moving, slot.fill(numbers), sensors, samples, task, quats, targets
         )
         found = jax.tree.map(
             lambda x: np.asarray(x)[:n], after | {"human_target": targets.hold, "step": clock}
@@ -151,7 +150,7 @@ class NativeRows:
         """A new episode if ``where``, from the state's key."""
         if not np.asarray(where):
             return state
-        key, key_next = self.split(np.asarray(raw_key(state.key))[None])
+        key, key_next = self.split(self.physics.alone, np.asarray(raw_key(state.key))[None])
         fresh = self.reset_one(key[0])
         kept = {
             name: getattr(state, name) for name in ("reward", "done", "metrics", "info", "regions")

@@ -16,6 +16,7 @@ from agym_jax.sense import Motion
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.scene import Scene
 from agym_jax.sim.sensing import ContactSums
+from agym_jax.spec import Task
 from agym_jax.state import Episode
 
 IMPLEMENTATIONS = ("auto", "jax", "warp", "native")
@@ -66,13 +67,13 @@ class Physics(Protocol):
         ...
 
 
-def choose_impl(impl: str, single_env: bool = False) -> str:
+def choose_impl(impl: str, traced: bool = True) -> str:
     """The physics implementation that a name stands for on this machine.
 
     Args:
         impl: one of ``IMPLEMENTATIONS``.
-        single_env: whether only one environment is stepped at a time, outside of ``jit`` and ``vmap``; on a CPU
-            ``"auto"`` is then C MuJoCo.
+        traced: whether ``reset`` and ``step`` must be pure functions that JAX can trace (``jit``, ``vmap``). Where they
+            need not be, ``"auto"`` is C MuJoCo if all that JAX has is one CPU.
 
     Raises:
         ImplementationError: there is no such implementation, or Warp is not installed.
@@ -89,13 +90,13 @@ def choose_impl(impl: str, single_env: bool = False) -> str:
         )
     if impl != "auto":
         return impl
-    if single_env and jax.default_backend() == "cpu":
+    if not traced and jax.default_backend() == "cpu" and jax.device_count() == 1:
         return "native"
     return "warp" if has_warp and jax.default_backend() == "gpu" else "jax"
 
 
 def build_physics(
-    impl: str, scene: Scene, controller: Controller, frame_skip: int, num_envs: int
+    impl: str, scene: Scene, controller: Controller, task: Task, num_envs: int
 ) -> Physics:
     """The physics of a scene.
 
@@ -103,16 +104,17 @@ def build_physics(
         impl: from ``choose_impl``.
         scene: what is in the world.
         controller: of its joints.
-        frame_skip: physics steps of a control step.
+        task: of the scene.
         num_envs: how many are stepped together; sizes Warp's buffers.
     """
     if impl == "native":
-        from agym_jax.sim.c_mujoco import NativePhysics
+        from agym_jax.sim.c_mujoco import ROWS, NativePhysics
 
-        return NativePhysics(scene, controller, frame_skip)
+        rows = getattr(task, "cpu_rows", ROWS)
+        return NativePhysics(scene, controller, task.control.frame_skip, rows)
     from agym_jax.sim.mjx import MjxPhysics
 
-    return MjxPhysics(impl, scene, controller, frame_skip, num_envs)
+    return MjxPhysics(impl, scene, controller, task.control.frame_skip, num_envs)
 
 
 def native_rows_of(env: Any) -> Any:

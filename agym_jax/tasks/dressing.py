@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -130,6 +131,7 @@ class Dressing:
     garment: str = "garments/gown.npz"
     fabric: Fabric = field(default_factory=Fabric)
     name: str = "Dressing"
+    cpu_rows: ClassVar[tuple[int, int]] = (1, 2)  # see sim.c_mujoco.ROWS
     # AG env.py, dressing.py: 0.01 s x 10 of 4 solver sub-steps, gain 0.001 each, 4 x 1 N m, 10 x 0.05 rad
     control: Control = Control(
         time_step=0.01, frame_skip=10, rate=0.001 / 0.0025, max_torque=4.0, action_scale=0.5

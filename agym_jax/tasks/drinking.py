@@ -21,6 +21,7 @@ DEVIATION(sip-speed): the speed of a drop is read before it vanishes; AG reads i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -95,6 +96,7 @@ class Drinking:
     config: Config = Config()
     water: ParticleSpec = WATER
     name: str = "Drinking"
+    cpu_rows: ClassVar[tuple[int, int]] = (1, 16)  # see sim.c_mujoco.ROWS
     # AG env.py and drinking.py: 25 steps of 0.004 s, gain 0.0005 for each, 1 N m, 25 x 0.05 rad
     control: Control = Control(
         time_step=0.01, frame_skip=10, rate=0.0005 / 0.004, max_torque=1.0, action_scale=1.25

@@ -13,6 +13,7 @@ is spilled, and gone.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -91,6 +92,7 @@ class Feeding:
     config: Config = Config()
     food: ParticleSpec = FOOD
     name: str = "Feeding"
+    cpu_rows: ClassVar[tuple[int, int]] = (1, 32)  # see sim.c_mujoco.ROWS
     # AG env.py, feeding.py: 0.01 s x 10 of 5 solver sub-steps, gain 0.0005 each, 5 x 1 N m, 10 x 0.05 rad
     control: Control = Control(
         time_step=0.01, frame_skip=10, rate=0.0005 / 0.002, max_torque=5.0, action_scale=0.5

@@ -178,7 +178,7 @@ def test_broken_physics_terminates(physics: str, request: pytest.FixtureRequest)
 def test_one_environment_is_c_mujocos_on_a_cpu_and_the_same_as_mjxs(
     env: gymnasium.Env, on_mjx: gymnasium.Env
 ):
-    assert env.unwrapped.core.impl == choose_impl("auto", single_env=True)
+    assert env.unwrapped.core.impl == choose_impl("auto", traced=False)
     assert on_mjx.unwrapped.core.impl == "jax"
     (mine, info), (theirs, their_info) = env.reset(seed=3), on_mjx.reset(seed=3)
     np.testing.assert_allclose(mine, theirs, atol=1e-5)

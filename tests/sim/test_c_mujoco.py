@@ -273,10 +273,10 @@ def test_tracing_it_is_refused_with_what_to_do(native: agym_jax.Env):
             jax.jit(function)(state, jnp.zeros(7))
 
 
-def test_auto_is_native_for_one_environment_on_a_cpu_only():
-    alone, many = choose_impl("auto", single_env=True), choose_impl("auto")
-    assert many in ("jax", "warp")
-    assert alone == ("native" if jax.default_backend() == "cpu" else many)
-    assert choose_impl("jax", single_env=True) == "jax" and choose_impl("native") == "native"
+def test_auto_is_native_on_a_cpu_where_nobody_traces():
+    untraced, traced = choose_impl("auto", traced=False), choose_impl("auto")
+    assert traced in ("jax", "warp")
+    assert untraced == ("native" if jax.default_backend() == "cpu" else traced)
+    assert choose_impl("jax", traced=False) == "jax" and choose_impl("native") == "native"
     with pytest.raises(ImplementationError, match="There are: auto, jax, native, warp"):
         choose_impl("mujoco")

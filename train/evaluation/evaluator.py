@@ -1,7 +1,7 @@
 """Running episodes with a policy and summing what they score: one loop for every implementation of the physics.
 
-In a batch, all episodes run side by side in one compiled program, or step by step where the environment is compiled
-(``StepwiseEnv``). C MuJoCo (``impl="native"``) steps one environment, so its episodes run one after another.
+All episodes run side by side in one compiled program, or step by step where the environment is compiled
+(``StepwiseEnv``). On C MuJoCo (``impl="native"``) they run step by step, some at a time, each from a key of its own.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -18,21 +17,16 @@ import numpy as np
 
 from agym_jax.policy.agents import TREES, AnyPolicy
 
-from ..envs import jit_functions, vectorize
-from ..learning.execution import ONE_PROGRAM, STEPWISE, Execution, StepwiseEnv
+from ..envs import is_native, vectorize
+from ..learning.execution import ONE_PROGRAM, STEPWISE, Execution, execution_of
+from ..learning.rollout import Observed, split_keys
 from .score import EvaluationResult, add_step, result_of, zero_sums
 
 Watch = Callable[[Any], None]
 
 
-@dataclass(frozen=True)
-class SingleEnv:
-    """An environment of C MuJoCo as a batch of one; a finished episode is not followed by another."""
-
-    env: Any
-    reset: Callable[[jax.Array], Any]
-    step: Callable[[Any, jax.Array], Any]
-    num_envs: int = 1
+AT_ONCE = 64
+"""Episodes that C MuJoCo runs side by side."""
 
 
 def run_episodes(
@@ -48,18 +42,18 @@ def run_episodes(
     Args:
         venv: environments, as a batch.
         act: (observation, key) -> action.
-        key: decides the episodes, and what a policy samples.
+        key: decides the episodes, and what a policy samples (2,); or that of each environment (B, 2).
         episode_length: control steps.
         execution: how the loop runs.
         watch: is shown the state of all environments, before the first step and after each; from Python only.
     """
-    key_reset, key_steps = jax.random.split(key)
+    key_reset, key_steps = split_keys(key)
     add = execution.compile(add_step)
 
     def step(carry: tuple, key: jax.Array) -> tuple[tuple, None]:
         state, going, sums = carry
         state = venv.step(state, act(state.obs, key))
-        going, sums = add(going, sums, state)
+        going, sums = add(going, sums, Observed.of(state))
         if watch:
             watch(state)
         return (state, going, sums), None
@@ -68,7 +62,7 @@ def run_episodes(
     if watch:
         watch(first)
     start = (first, jnp.ones(venv.num_envs, jnp.float32), zero_sums(first, venv.num_envs))
-    (_, _, sums), _ = execution.scan(step, start, jax.random.split(key_steps, episode_length))
+    (_, _, sums), _ = execution.scan(step, start, split_keys(key_steps, episode_length))
     return sums
 
 
@@ -82,13 +76,10 @@ class Evaluator:
 
     def __init__(self, env: Any, num_episodes: int) -> None:
         self.env, self.num_episodes = env, num_episodes
-        self._native = getattr(env, "impl", None) == "native"
-        if self._native:
-            self._venv: Any = SingleEnv(env, *jit_functions(env))
-        else:
-            self._venv = vectorize(env, num_episodes)
-        stepwise = self._native or isinstance(self._venv, StepwiseEnv)
-        self._execution = STEPWISE if stepwise else ONE_PROGRAM
+        self._native = is_native(env)
+        at_once = min(num_episodes, AT_ONCE) if self._native else num_episodes
+        self._venv = vectorize(env, at_once)
+        self._execution = STEPWISE if self._native else execution_of(self._venv)
         self._run_policy = jax.jit(self._run, static_argnames="deterministic")
         self._run_function = jax.jit(self._run, static_argnames=("policy", "deterministic"))
 
@@ -123,16 +114,22 @@ class Evaluator:
     def _from_python(
         self, policy: AnyPolicy, key: jax.Array, deterministic: bool, watch: Watch | None
     ) -> dict[str, np.ndarray]:
-        """Episodes of a batch at once, those of C MuJoCo one after another."""
-        act = jax.jit(lambda obs, key: policy(obs, key, deterministic))
-        keys = jax.random.split(key, self.num_episodes) if self._native else key[None]
-        found = []
-        for number, key_episode in enumerate(keys):
-            length = self.env.episode_length
-            sums = run_episodes(self._venv, act, key_episode, length, STEPWISE, watch)
-            found.append(jax.device_get(sums))
-            if self._native and sys.stderr.isatty():
-                print(f"\r{number + 1}/{len(keys)} episodes", end="", file=sys.stderr, flush=True)
-        if self._native and sys.stderr.isatty():
+        """Episodes of a batch at once, those of C MuJoCo batch by batch."""
+        act = lambda obs, key: policy(obs, key, deterministic)  # noqa: E731
+        length = self.env.episode_length
+        if not self._native:
+            return jax.device_get(
+                run_episodes(self._venv, jax.jit(act), key, length, STEPWISE, watch)
+            )
+        act, found = jax.jit(jax.vmap(act)), []
+        keys, at_once = jax.random.split(key, self.num_episodes), self._venv.num_envs
+        for start in range(0, self.num_episodes, at_once):
+            part = keys[start : start + at_once]
+            venv = self._venv if len(part) == at_once else vectorize(self.env, len(part))
+            found.append(jax.device_get(run_episodes(venv, act, part, length, STEPWISE, watch)))
+            if sys.stderr.isatty():
+                done = f"{start + len(part)}/{self.num_episodes}"
+                print(f"\r{done} episodes", end="", file=sys.stderr, flush=True)
+        if sys.stderr.isatty():
             print("\r", end="", file=sys.stderr)
         return {name: np.concatenate([part[name] for part in found]) for name in found[0]}

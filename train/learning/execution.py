@@ -1,8 +1,8 @@
 """How the loops of training and evaluation run: inside one compiled program, or from Python.
 
 A program of many updates, or of whole episodes, contains the environment's step and compiles it anew. Where that
-takes a minute, as on a CPU, the reset and step of a batch are compiled once (``StepwiseEnv``) and called from
-Python again and again, which costs nothing where a step takes milliseconds.
+takes a minute, as MJX does on a CPU, the reset and step of a batch are compiled once (``StepwiseEnv``) and called from
+Python again and again, which costs nothing where a step takes milliseconds. C MuJoCo is always called so.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from agym_jax.state import strong
 
+from ..envs import is_native
 from ..errors import ConfigError
 
 Step = Callable[[Any, Any], tuple[Any, Any]]
@@ -43,7 +45,8 @@ def _python_scan(step: Step, carry: Any, xs: Any) -> tuple[Any, Any]:
     for i in range(len(jax.tree.leaves(xs)[0])):
         carry, output = step(carry, jax.tree.map(lambda x, i=i: x[i], xs))
         outputs.append(output)
-    return carry, jax.tree.map(lambda *leaves: jnp.stack(leaves), *outputs)
+    # in NumPy: stacking many small arrays takes JAX longer than the steps
+    return carry, jax.tree.map(lambda *leaves: np.stack(leaves), *jax.device_get(outputs))
 
 
 def _python_fori_loop(start: Any, stop: Any, body: Callable[[Any, Any], Any], carry: Any) -> Any:
@@ -56,6 +59,11 @@ ONE_PROGRAM = Execution(jax.lax.scan, jax.lax.fori_loop, lambda function: functi
 """For functions that are compiled as a whole."""
 STEPWISE = Execution(_python_scan, _python_fori_loop, functools.lru_cache(maxsize=32)(jax.jit))
 """For environments whose step is called from Python."""
+
+
+def execution_of(venv: Any) -> Execution:
+    """How loops around vectorised environments run: from Python where their step cannot be compiled in."""
+    return STEPWISE if isinstance(venv, StepwiseEnv) or is_native(venv) else ONE_PROGRAM
 
 
 class StepwiseEnv:

@@ -59,6 +59,26 @@ class Batch:
     cost: jax.Array | None = None  # with a cost limit, see constraint.py    (T, B)
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Observed:
+    """What of the environments' state is recorded: few arrays, for each that enters a program costs some microseconds."""
+
+    obs: jax.Array  # (B, observation)
+    privileged_obs: Any  # (B, privileged), or None
+    reward: jax.Array  # (B,)
+    done: jax.Array  # (B,)
+    metrics: dict[str, jax.Array]  # (B,) each
+    info: dict[str, Any]
+    regions: Any = None
+
+    @classmethod
+    def of(cls, state: Any) -> Observed:
+        """Of a batch of environments."""
+        seen = (state.obs, state.privileged_obs, state.reward, state.done, state.metrics)
+        return cls(*seen, state.info, getattr(state, "regions", None))
+
+
 def with_privileged(obs: jax.Array, privileged_obs: jax.Array | None) -> jax.Array:
     """An observation, and what nobody observes, where there is any (..., both)."""
     return obs if privileged_obs is None else jnp.concatenate([obs, privileged_obs], -1)
@@ -234,10 +254,11 @@ def collect(
         rollout, totals = carry
         action, raw, log_prob = act(rollout.env_state.obs, key)
         after = venv.step(rollout.env_state, action)
+        before = replace(rollout, env_state=Observed.of(rollout.env_state))
         rollout, totals, batch = record(
-            rollout, totals, raw, log_prob, after, gamma, reward_scaling
+            before, totals, raw, log_prob, Observed.of(after), gamma, reward_scaling
         )
-        return (rollout, totals), batch
+        return (replace(rollout, env_state=strong(after)), totals), batch
 
     start = (rollout, zero_totals(rollout.env_state, key.shape[:-1]))
     (rollout, totals), batch = execution.scan(step, start, split_keys(key, num_steps))

@@ -24,9 +24,10 @@ from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
 
 from ..configs import Config, LearnConfig, parse_arguments, resolve, updates_in
-from ..envs import make_env, vectorize
+from ..envs import is_native, make_env, vectorize
+from ..errors import ConfigError
 from ..learning.agents import Agents
-from ..learning.execution import STEPWISE, StepwiseEnv, compile_together
+from ..learning.execution import STEPWISE, StepwiseEnv, compile_together, execution_of
 from ..learning.hosts import check_agreement, join_hosts, wait_for_hosts
 from ..learning.rollout import RolloutState, fold_in, init_rollout, split_keys
 from ..learning.seeds import Lane, SideBySide, keep_learner, lane_keys, lanes_of
@@ -51,7 +52,13 @@ def resolve_config(env: Any, config: Config) -> tuple[Config, Mesh | None]:
     Raises:
         ConfigError: settings that do not fit together, or the machine.
     """
-    mesh = None if isinstance(env, StepwiseEnv) else device_mesh(config.devices)
+    if is_native(env) and config.devices > 1:
+        raise ConfigError(
+            f"--devices {config.devices} were asked for, but C MuJoCo (impl='native') steps all environments on the "
+            f"CPU's cores. Leave --devices out, or use --impl jax."
+        )
+    single = isinstance(env, StepwiseEnv) or is_native(env)
+    mesh = None if single else device_mesh(config.devices)
     config = dataclasses.replace(config, env_name=env.name)
     return resolve(config, jax.default_backend(), mesh.size if mesh else 1), mesh
 
@@ -107,7 +114,7 @@ def run_session(
     if first_steps < total_steps:
         # A resumed run gets fresh episodes, and other ones than the run before it began with.
         key_envs = fold_in(key_envs, first_steps)
-        if isinstance(venv, StepwiseEnv):
+        if execution_of(venv) is STEPWISE:
             rollout = init_rollout(venv, key_envs, config.stagger)
             run = make_updates(venv, config, agents, execution=STEPWISE)
         else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -75,6 +76,12 @@ def test_limits_are_those_of_the_task_and_wrong_ones_are_refused():
         comfort_limits(dataclasses.replace(lift, comfort=(("forarm", 5.0),)))
     with pytest.raises(SpecError, match="limit of the hand must be above 0, got 0"):
         comfort_limits(dataclasses.replace(lift, comfort=(("hand", 0.0),)))
+
+
+def test_the_page_about_care_has_the_limits_of_the_code():
+    page = (Path(__file__).parents[2] / "docs" / "care.md").read_text()
+    rows = [f"| {x.name} | {x.comfort:g} | {x.quasi_static:g} | {x.transient:g} |" for x in REGIONS]
+    assert "\n".join(rows) in page
 
 
 @pytest.mark.parametrize(

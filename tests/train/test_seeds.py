@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import subprocess
 
 import jax
 import numpy as np
 import pytest
 from fake_env import FakeEnv
 from fake_pair_env import FakePairEnv
+from paths import PROCESS_SECONDS
+from train_runs import start_python
 
 from agym_jax.policy.policy import read_policy
 from train import coop, ppo
@@ -168,3 +171,27 @@ def test_stepwise_environments_take_several_seeds_too():
 def test_less_than_one_seed_is_refused():
     with pytest.raises(ConfigError, match="num_seeds must be at least 1, got 0"):
         PPOConfig(num_seeds=0)
+
+
+LARGE = """
+import jax
+from fake_env import FakeEnv
+from train.configs import PPOConfig
+from train.learning.agents import Agents
+from train.learning.seeds import SideBySide, lane_keys, lanes_of
+
+config = PPOConfig(num_seeds=2, policy_hidden=(512, 256, 128), value_hidden=(512, 512))
+lanes = lanes_of(config)
+agents = SideBySide(Agents(config, FakeEnv(), ("robot",)), lanes)
+jax.block_until_ready(jax.jit(agents.init)(lane_keys(lanes)))
+print("begun")
+"""
+
+
+@pytest.mark.slow
+def test_large_networks_of_several_seeds_begin_on_a_small_cpu():
+    process = start_python(LARGE, stdout=subprocess.PIPE)
+    try:  # where factorisations of all seeds ran at once, this never ended on two cores
+        assert process.communicate(timeout=PROCESS_SECONDS / 4)[0].split() == ["begun"]
+    finally:
+        process.kill()

@@ -67,7 +67,8 @@ class SideBySide:
 
     def init(self, keys: jax.Array) -> LearnerState:
         """Agents that have seen nothing, from the key of each seed (seeds, 2)."""
-        return jax.vmap(self.single.init)(keys)
+        # one after the other: in batches of large QR factorisations, jaxlib 0.10 hangs on two CPU cores
+        return jax.lax.map(self.single.init, keys)
 
     def act(
         self, learner: LearnerState, obs: jax.Array, keys: jax.Array

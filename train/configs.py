@@ -129,6 +129,10 @@ class LearnConfig:
     """With cost_limit: integral gain, per update; the multiplier grows by so much where the cost is far too high."""
     cost_derivative: float = 0.5
     """With cost_limit: derivative gain, per update, while the cost rises."""
+    cost_tighten_from: float = 0.2
+    """With cost_limit: share of the run after which the limit falls, from any cost, so that the task is learned first."""
+    cost_tighten_until: float = 0.6
+    """With cost_limit: share of the run after which the limit is cost_limit."""
 
     policy_hidden: tuple[int, ...] = (64, 64)
     """Hidden layers of the policy."""
@@ -164,7 +168,13 @@ class LearnConfig:
         for name in ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} must be greater than 0, got {getattr(self, name)}.")
-        for name in ("gamma", "gae_lambda", "entropy_decay_share"):
+        for name in (
+            "gamma",
+            "gae_lambda",
+            "entropy_decay_share",
+            "cost_tighten_from",
+            "cost_tighten_until",
+        ):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"{name} must be between 0 and 1, got {getattr(self, name)}.")
         for name in ("cost_limit", "cost_proportional", "cost_integral", "cost_derivative"):

@@ -11,7 +11,9 @@ rate of the other. The multiplier is set before every update by a PID controller
 reinforcement learning by PID Lagrangian methods"): the integral finds its level, the proportional part keeps that from
 swinging, the derivative answers to a cost that rises.
 
-Two things are not as in that paper. The controller's error is ``(cost - limit) / (cost + limit)``, within [-1, 1]: at first the cost of an
+Three things are not as in that paper. The limit is tightened during the run, from any cost to what was asked for: under a tight limit from the
+first step on, a policy learns to keep away from the person before it learns the task, and stays there (FeedingJaco, 300,000 steps: no success,
+no contact). The controller's error is ``(cost - limit) / (cost + limit)``, within [-1, 1]: at first the cost of an
 episode can be a thousand limits, and an integral of the difference would take thousands of updates to unwind. And the sum of both
 advantages is scaled to unit variance, which takes the place of a division by ``1 + multiplier``.
 """
@@ -43,6 +45,10 @@ LEAST_SCALE = 0.05
 """Deviation of cost advantages below which they are not scaled up: there is nothing to learn from but the value function's errors."""
 
 
+LEAST_LIMIT = 0.01
+"""Up to which a limit is tightened by equal factors; a limit of 0 then follows at once."""
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ConstraintHyper:
@@ -53,6 +59,8 @@ class ConstraintHyper:
     proportional: Any
     integral: Any
     derivative: Any
+    tighten_from: Any  # share of the run
+    tighten_until: Any  # share of the run
 
     @classmethod
     def of(cls, config: LearnConfig, episode_length: int) -> ConstraintHyper | None:
@@ -60,7 +68,17 @@ class ConstraintHyper:
         if config.cost_limit is None:
             return None
         gains = (config.cost_proportional, config.cost_integral, config.cost_derivative)
-        return cls(*(np.float32(x) for x in (config.cost_limit, episode_length, *gains)))
+        shares = (config.cost_tighten_from, config.cost_tighten_until)
+        numbers = (config.cost_limit, episode_length, *gains, *shares)
+        return cls(*(np.float32(x) for x in numbers))
+
+    def limit_at(self, progress: jax.Array) -> jax.Array:
+        """The limit after a share of the run: equal factors from 1 a step, that is hardly any, down to ``limit`` ()."""
+        span = jnp.maximum(self.tighten_until - self.tighten_from, 1e-6)
+        left = 1 - jnp.clip((progress - self.tighten_from) / span, 0.0, 1.0)
+        lowest = jnp.maximum(self.limit, LEAST_LIMIT)
+        loose = lowest * (jnp.maximum(self.episode_length, lowest) / lowest) ** left
+        return jnp.where(progress >= self.tighten_until, self.limit, loose)
 
 
 @jax.tree_util.register_dataclass
@@ -117,7 +135,7 @@ def record_costs(
 
 
 def control(
-    state: ConstraintState, cost: jax.Array, hyper: ConstraintHyper
+    state: ConstraintState, cost: jax.Array, hyper: ConstraintHyper, progress: Any = 1.0
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """One step of the PID controller.
 
@@ -125,13 +143,15 @@ def control(
         state: before it.
         cost: mean cost of an episode in the newest update ().
         hyper: limit and gains.
+        progress: share of the run that is over ().
 
     Returns:
         The smoothed cost, the integral and the multiplier after it, () each.
     """
     old = jnp.where(state.cost < 0, cost, state.cost)
     new = old + SMOOTHING * (cost - old)
-    error, before = (_error(x, hyper.limit) for x in (new, old))
+    limit = hyper.limit_at(jnp.asarray(progress))
+    error, before = (_error(x, limit) for x in (new, old))
     integral = jnp.clip(state.integral + hyper.integral * error, 0.0, LARGEST_MULTIPLIER)
     rise = jnp.maximum(0.0, error - before)
     multiplier = hyper.proportional * error + integral + hyper.derivative * rise
@@ -171,6 +191,7 @@ def learn_constraint(
     value: Callable[[Any, jax.Array], jax.Array],
     optimizer: optax.GradientTransformation,
     rate: jax.Array,
+    progress: jax.Array,
     mean: Callable[[Any], Any],
 ) -> tuple[ConstraintState | None, Penalty | None, dict[str, jax.Array]]:
     """Set the multiplier, and teach the value function of the cost.
@@ -185,6 +206,7 @@ def learn_constraint(
         value: (parameters, what value functions read) -> value.
         optimizer: of the value function.
         rate: learning rate, now.
+        progress: share of the run that is over.
         mean: over the devices that share the batch.
 
     Returns:
@@ -194,7 +216,7 @@ def learn_constraint(
         return None, None, {}
     assert batch.cost is not None  # config.cost_limit makes both
     cost = mean(jnp.mean(batch.cost)) * hyper.constraint.episode_length
-    smooth, integral, multiplier = control(state, cost, hyper.constraint)
+    smooth, integral, multiplier = control(state, cost, hyper.constraint, progress)
     values, next_values = values_of(lambda obs: value(state.params, obs), batch, last)
     advantage = compute_gae(
         batch.cost, values, next_values, batch.done, hyper.gamma, hyper.gae_discount

@@ -297,6 +297,7 @@ def learn(
         partial(networks.value_network.apply, statistics),
         optimizer,
         rate,
+        progress,
         mean,
     )
     first = estimate(agent.params.value)

@@ -12,9 +12,9 @@ from agym_jax.tasks import TASKS
 
 RESULTS = Path(__file__).resolve().parent / "results"
 NOTHING = "*No results yet.*"
-PHYSICS_SINCE = "2026-11-22T21:50"
-"""When the present physics came about (UTC, as in results): starts, motors, muscles, friction, bed and heads as in Assistive Gym. Tables
-mark what was measured before. Set it anew with a change that makes older figures wrong."""
+PHYSICS_SINCE = "2026-11-23T00:15"
+"""When the present physics came about (UTC, as in results): starts, motors, muscles, friction, bed, heads and what a robot may touch as in
+Assistive Gym. Tables mark what was measured before. Set it anew with a change that makes older figures wrong."""
 EARLIER = "†"
 Line = dict[str, Any]
 

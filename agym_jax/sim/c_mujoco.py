@@ -36,6 +36,8 @@ from agym_jax.state import Episode
 ROWS = (32, 32)
 """Of the slot of a single environment, and of those of a batch, unless the task has its own ``cpu_rows``. More spare calls;
 fewer spare the arithmetic of rows that are empty. Between slots of different size results differ by rounding."""
+QUICKLY = {"xla_backend_optimization_level": 0}
+"""How to compile what runs once an episode."""
 Layout = tuple[tuple[str, int, int, tuple[int, ...]], ...]
 """Name, start, stop and shape of each field in ``NativeData.numbers``."""
 MOTION = ("qpos", "qvel", "qacc_warmstart", "qfrc_bias", "M")
@@ -131,11 +133,7 @@ class NativePhysics:
     traceable = False
 
     def __init__(
-        self,
-        scene: Scene,
-        controller: Controller,
-        frame_skip: int,
-        rows: tuple[int, int] = ROWS,
+        self, scene: Scene, controller: Controller, frame_skip: int, rows: tuple[int, int] = ROWS
     ):
         self.rows = rows
         self.scene, self.controller, self.frame_skip = scene, controller, frame_skip
@@ -149,7 +147,7 @@ class NativePhysics:
             muscles = controller.muscles(people.human)
             return model_fields(scene, scene.model, people, muscles), muscles
 
-        self.written = jax.jit(jax.vmap(written))
+        self.written = jax.jit(jax.vmap(written), compiler_options=QUICKLY)
         self.drive = DriveProgram(controller, self.model)
         self.after_step = jax.jit(jax.vmap(afterwards(controller)))
 
@@ -243,7 +241,7 @@ class Slot:
             episode: of all environments, with a leading axis.
             part: which of them are this slot's rows, from the first on.
         """
-        people = _people_of(episode)
+        people = people_of(episode)
         leaves, tree = jax.tree.flatten(people)
         if len(leaves) == len(self._own) and all(
             a is b for a, b in zip(leaves, self._own, strict=True)
@@ -380,7 +378,7 @@ class Slot:
         return np.concatenate([*self._state.values(), bias, inertia, *poses], axis=1)
 
 
-def _people_of(episode: Episode) -> People:
+def people_of(episode: Episode) -> People:
     """What of an episode stays as it was drawn."""
     nothing: Any = None
     return dataclasses.replace(episode, human_target=nothing, step=nothing)

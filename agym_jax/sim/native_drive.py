@@ -65,7 +65,7 @@ class DriveProgram:
         self.inputs = int(self._ends[-1])
         self._solref = model.dof_solref.astype(np.float32)
         self._run = jax.jit(full_precision(self._rows))
-        self._nothing: Driven | None = None
+        self._nothing: dict[int, Driven] = {}
 
     def first(self, inputs: np.ndarray, given: list[np.ndarray]) -> Driven:
         """Prepare the first physics step of a control step.
@@ -81,10 +81,14 @@ class DriveProgram:
         inputs[:] = 0.0
         inputs[:n, :end] = np.concatenate(given, axis=1)
         inputs[:, -1] = 1.0
-        if self._nothing is None:
-            rows = np.zeros((len(inputs), 5 * self.nv + 1), np.float32)
-            self._nothing = Driven(self, jnp.asarray(rows), rows)
-        return self._nothing
+        return self.nothing(len(inputs))
+
+    def nothing(self, count: int) -> Driven:
+        """What stands for the physics step before the first one, of so many rows."""
+        if count not in self._nothing:
+            rows = np.zeros((count, 5 * self.nv + 1), np.float32)
+            self._nothing[count] = Driven(self, jnp.asarray(rows), rows)
+        return self._nothing[count]
 
     def gather(self, inputs: np.ndarray, state: State, out: State) -> None:
         """Prepare the next physics step, after one has been taken."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from threading import Thread
 from typing import Any, NamedTuple
 
 import jax
@@ -12,7 +13,7 @@ from jax import Array
 
 from agym_jax.human.regions import no_forces
 from agym_jax.jax_settings import full_precision
-from agym_jax.sim.c_mujoco import NativeData, NativePhysics, Slot
+from agym_jax.sim.c_mujoco import QUICKLY, NativeData, NativePhysics, Slot, people_of
 from agym_jax.sim.episode import make_episode
 from agym_jax.state import Episode, State, moved, raw_key
 
@@ -34,12 +35,21 @@ class NativeRows:
         physics: of the environments.
         stages: around it.
         metric_names: of ``State.metrics``.
+        action_size: entries of an action.
     """
 
-    def __init__(self, physics: NativePhysics, stages: Stages, metric_names: tuple[str, ...]):
+    def __init__(
+        self,
+        physics: NativePhysics,
+        stages: Stages,
+        metric_names: tuple[str, ...],
+        action_size: int,
+    ):
         self.physics, self._stages, self._metric_names = physics, stages, metric_names
-        whole = lambda f: jax.jit(jax.vmap(full_precision(f)))  # noqa: E731
-        self._sample = whole(stages.sample)
+        self._action_size = action_size
+        whole = lambda f, **how: jax.jit(jax.vmap(full_precision(f)), **how)  # noqa: E731
+        self._sample = whole(stages.sample, compiler_options=QUICKLY)
+        self._preparing: dict[int, Thread] = {}
         self._init_task = whole(self._begin)
         self._targets = whole(self._aim)
         self._evaluate = whole(self._finish)
@@ -53,7 +63,8 @@ class NativeRows:
             return make_episode(env.scene, env.task.human, sample, np)
 
         around = (env._begin_task, env._control_targets, env._evaluate_step)
-        return cls(env.physics, Stages(env._sample_episode, begin, *around), env.metric_names)
+        stages = Stages(env._sample_episode, begin, *around)
+        return cls(env.physics, stages, env.metric_names, env.action_size)
 
     # -- what is compiled, for one environment ---------------------------------------------------
 
@@ -73,6 +84,35 @@ class NativeRows:
         sums, motion = self.physics.sums(sensors, samples)
         episode = _episode(people, moving)
         return self._stages.evaluate(data, sums, motion, task, quats, episode, targets)
+
+    def _prepare(self, rows: int, key: np.ndarray, episode: Episode) -> None:
+        """Compile what a step needs while the first reset goes on, in a thread.
+
+        Args:
+            rows: of the slot.
+            key: of a task (rows, 2).
+            episode: any (rows, ...).
+        """
+        if rows not in self._preparing:
+            thread = Thread(target=self._compile_step, args=(rows, key, episode))
+            self._preparing.setdefault(rows, thread)
+            thread.start()
+
+    def _compile_step(self, rows: int, key: np.ndarray, episode: Episode) -> None:
+        physics = self.physics
+        numbers = np.zeros((rows, physics.layout[-1][2]))
+        seen, _ = jax.eval_shape(self._init_task, key, numbers, episode)
+        people, moving = people_of(episode), (episode.human_target, episode.step)
+        _, muscles = jax.eval_shape(physics.written, people)
+        muscles, seen = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), (muscles, seen))
+        action = np.zeros((rows, self._action_size), np.float32)
+        targets = self._targets(people, moving, numbers, seen["task"], action)
+        inputs = np.zeros((rows, physics.drive.inputs), np.float32)
+        physics.drive(inputs, physics.drive.nothing(rows), targets, muscles)
+        sensors = np.zeros((rows, physics.frame_skip, physics.model.nsensordata), np.float32)
+        samples = np.zeros((rows, physics.frame_skip + 1, physics.sampled[-1][2]), np.float32)
+        told = numbers, sensors, samples, seen["task"], seen["quats"], targets
+        self._evaluate(people, moving, *told)
 
     # -- rows of a slot --------------------------------------------------------------------------
 
@@ -97,9 +137,10 @@ class NativeRows:
             self._stages.make_episode(jax.tree.map(lambda x, i=i: x[i], drawn)) for i in range(n)
         ]
         episode = jax.tree.map(lambda *x: np.stack(x), *each)
+        whole = jax.tree.map(slot.fill, episode)
+        self._prepare(slot.rows, key_task, whole)
         slot.load(episode, slice(0, n))
         numbers = slot.reset(np.ones(n, bool))
-        whole = jax.tree.map(slot.fill, episode)
         seen, success = jax.device_get(self._init_task(key_task, slot.fill(numbers), whole))
         zero = np.zeros(n, np.float32)
         metrics = dict.fromkeys(self._metric_names, zero) | {"success": success[:n]}
@@ -120,6 +161,8 @@ class NativeRows:
         Returns:
             Fields of ``State`` that change, the episode's as ``human_target`` and ``step`` (n, ...).
         """
+        if slot.rows in self._preparing:
+            self._preparing[slot.rows].join()
         n, episode = len(action), state.episode
         rows = lambda tree: jax.tree.map(lambda x: slot.fill(np.asarray(x)[part]), tree)  # noqa: E731
         slot.load(episode, part)

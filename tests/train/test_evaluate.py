@@ -18,7 +18,6 @@ from train import enjoy, evaluate
 from train.configs import PPOConfig
 from train.errors import ConfigError
 from train.evaluate import Evaluator
-from train.evaluation import evaluator
 from train.evaluation.score import wilson_interval
 from train.learning.agents import Agents
 
@@ -81,11 +80,10 @@ def test_an_evaluation_agrees_with_stepping_one_environment_after_another():
         assert found.successes[i] == bool(state.metrics["success"])
 
 
-def test_native_episodes_run_some_at_a_time_each_from_its_own_key(policy, monkeypatch):
+def test_native_episodes_run_some_at_a_time_each_from_its_own_key(policy):
     env = FakeEnv()
     env.impl = "native"  # what JAX cannot trace is evaluated so
-    monkeypatch.setattr(evaluator, "AT_ONCE", 2)
-    found = Evaluator(env, 3)(policy, jax.random.PRNGKey(5))
+    found = Evaluator(env, 3, at_once=2)(policy, jax.random.PRNGKey(5))
     for i, key in enumerate(jax.random.split(jax.random.PRNGKey(5), 3)):
         state, total = env.reset(jax.random.split(key)[0]), 0.0
         for _ in range(env.episode_length):

@@ -72,12 +72,13 @@ class Evaluator:
     Args:
         env: an environment (``agym_jax.make``), or a ``StepwiseEnv``.
         num_episodes: how many.
+        at_once: how many side by side, on C MuJoCo.
     """
 
-    def __init__(self, env: Any, num_episodes: int) -> None:
+    def __init__(self, env: Any, num_episodes: int, at_once: int = AT_ONCE) -> None:
         self.env, self.num_episodes = env, num_episodes
         self._native = is_native(env)
-        at_once = min(num_episodes, AT_ONCE) if self._native else num_episodes
+        at_once = min(num_episodes, at_once) if self._native else num_episodes
         self._venv = vectorize(env, at_once)
         self._execution = STEPWISE if self._native else execution_of(self._venv)
         self._run_policy = jax.jit(self._run, static_argnames="deterministic")

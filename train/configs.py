@@ -129,6 +129,8 @@ class LearnConfig:
     """With cost_limit: integral gain, per update; the multiplier grows by so much where the cost is far too high."""
     cost_derivative: float = 0.5
     """With cost_limit: derivative gain, per update, while the cost rises."""
+    cost_multiplier_max: float = 2.0
+    """With cost_limit: largest multiplier. At 1, cost and reward weigh alike; much more, and the task may be given up."""
     cost_tighten_from: float = 0.2
     """With cost_limit: share of the run after which the limit falls, from any cost, so that the task is learned first."""
     cost_tighten_until: float = 0.6
@@ -177,7 +179,13 @@ class LearnConfig:
         ):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"{name} must be between 0 and 1, got {getattr(self, name)}.")
-        for name in ("cost_limit", "cost_proportional", "cost_integral", "cost_derivative"):
+        for name in (
+            "cost_limit",
+            "cost_proportional",
+            "cost_integral",
+            "cost_derivative",
+            "cost_multiplier_max",
+        ):
             value = getattr(self, name)
             if value is not None and not 0 <= value < math.inf:
                 raise ConfigError(f"{name} must be at least 0 and finite, got {value}.")

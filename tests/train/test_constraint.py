@@ -45,6 +45,7 @@ SETTINGS = {
     "save_dir": None,
     "cost_tighten_from": 0.0,  # there is nothing to be learned first
     "cost_tighten_until": 0.0,
+    "cost_multiplier_max": 100.0,
 }
 SHORT = SETTINGS | {"num_env_steps": 320 * 6, "log_interval": 2}
 LIMIT = 2.0  # of 40, where the finger presses as hard as it can
@@ -66,13 +67,15 @@ def state_at(cost=-1.0, integral=0.0):
 
 
 def test_multiplier_rises_above_the_limit_falls_below_it_and_rests_at_it():
-    hyper = ConstraintHyper(2.0, 200.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+    hyper = ConstraintHyper(2.0, 200.0, 0.0, 0.1, 0.0, 0.0, 0.0, 9.0)
     _, above, multiplier = control(state_at(), jnp.float32(6.0), hyper)
     assert float(above) == pytest.approx(0.1 * 0.5) == float(multiplier)  # (6 - 2) / (6 + 2)
     _, below, _ = control(state_at(integral=1.0), jnp.float32(0.0), hyper)
     assert float(below) == pytest.approx(0.9)  # as far down as it ever goes in one update
     cost, rests, _ = control(state_at(2.0, 1.0), jnp.float32(2.0), hyper)
     assert (float(cost), float(rests)) == (2.0, 1.0)
+    _, most, multiplier = control(state_at(integral=9.0), jnp.float32(60.0), hyper)
+    assert float(most) == float(multiplier) == 9.0
     _, floor, multiplier = control(state_at(integral=0.0), jnp.float32(0.5), hyper)
     assert float(floor) == float(multiplier) == 0.0
     _, error_of_none, _ = control(
@@ -82,7 +85,7 @@ def test_multiplier_rises_above_the_limit_falls_below_it_and_rests_at_it():
 
 
 def test_the_limit_is_tightened_during_the_run():
-    hyper = ConstraintHyper(0.5, 200.0, 1.0, 1.0, 0.0, 0.2, 0.6)
+    hyper = ConstraintHyper(0.5, 200.0, 1.0, 1.0, 0.0, 0.2, 0.6, 9.0)
     at = lambda share: float(hyper.limit_at(jnp.float32(share)))  # noqa: E731
     assert at(0.0) == at(0.2) == pytest.approx(200.0) and at(0.6) == at(1.0) == 0.5
     assert at(0.4) == pytest.approx(10.0, rel=1e-3)  # by equal factors
@@ -96,11 +99,11 @@ def test_the_limit_is_tightened_during_the_run():
 
 
 def test_proportional_and_derivative_parts_answer_to_the_smoothed_cost():
-    hyper = ConstraintHyper(1.0, 200.0, 2.0, 0.0, 0.0, 0.0, 0.0)
+    hyper = ConstraintHyper(1.0, 200.0, 2.0, 0.0, 0.0, 0.0, 0.0, 9.0)
     cost, _, multiplier = control(state_at(1.0), jnp.float32(11.0), hyper)
     assert float(cost) == pytest.approx(2.0)  # a tenth of the way
     assert float(multiplier) == pytest.approx(2.0 / 3.0)
-    hyper = ConstraintHyper(1.0, 200.0, 0.0, 0.0, 3.0, 0.0, 0.0)
+    hyper = ConstraintHyper(1.0, 200.0, 0.0, 0.0, 3.0, 0.0, 0.0, 9.0)
     _, _, rising = control(state_at(1.0), jnp.float32(11.0), hyper)
     assert float(rising) == pytest.approx(3.0 / 3.0)
     _, _, falling = control(state_at(11.0), jnp.float32(1.0), hyper)

@@ -11,9 +11,10 @@ rate of the other. The multiplier is set before every update by a PID controller
 reinforcement learning by PID Lagrangian methods"): the integral finds its level, the proportional part keeps that from
 swinging, the derivative answers to a cost that rises.
 
-Three things are not as in that paper. The limit is tightened during the run, from any cost to what was asked for: under a tight limit from the
+Some things are not as in that paper. The limit is tightened during the run, from any cost to what was asked for: under a tight limit from the
 first step on, a policy learns to keep away from the person before it learns the task, and stays there (FeedingJaco, 300,000 steps: no success,
-no contact). The controller's error is ``(cost - limit) / (cost + limit)``, within [-1, 1]: at first the cost of an
+no contact). And the multiplier is bounded: where sampled actions cannot be so gentle, ever more weight on the cost makes a policy give up
+the task. The controller's error is ``(cost - limit) / (cost + limit)``, within [-1, 1]: at first the cost of an
 episode can be a thousand limits, and an integral of the difference would take thousands of updates to unwind. And the sum of both
 advantages is scaled to unit variance, which takes the place of a division by ``1 + multiplier``.
 """
@@ -40,7 +41,6 @@ COST_LOSSES = (*SHARED, "cost_value_loss")
 """Names of the scalars that learning under a limit tells besides."""
 SMOOTHING = 0.1
 """Share of the newest update in the cost that the controller sees: an update of 20,000 steps has some ten costs near the limit."""
-LARGEST_MULTIPLIER = 100.0
 LEAST_SCALE = 0.05
 """Deviation of cost advantages below which they are not scaled up: there is nothing to learn from but the value function's errors."""
 
@@ -61,6 +61,7 @@ class ConstraintHyper:
     derivative: Any
     tighten_from: Any  # share of the run
     tighten_until: Any  # share of the run
+    largest: Any  # multiplier
 
     @classmethod
     def of(cls, config: LearnConfig, episode_length: int) -> ConstraintHyper | None:
@@ -69,7 +70,7 @@ class ConstraintHyper:
             return None
         gains = (config.cost_proportional, config.cost_integral, config.cost_derivative)
         shares = (config.cost_tighten_from, config.cost_tighten_until)
-        numbers = (config.cost_limit, episode_length, *gains, *shares)
+        numbers = (config.cost_limit, episode_length, *gains, *shares, config.cost_multiplier_max)
         return cls(*(np.float32(x) for x in numbers))
 
     def limit_at(self, progress: jax.Array) -> jax.Array:
@@ -152,10 +153,10 @@ def control(
     new = old + SMOOTHING * (cost - old)
     limit = hyper.limit_at(jnp.asarray(progress))
     error, before = (_error(x, limit) for x in (new, old))
-    integral = jnp.clip(state.integral + hyper.integral * error, 0.0, LARGEST_MULTIPLIER)
+    integral = jnp.clip(state.integral + hyper.integral * error, 0.0, hyper.largest)
     rise = jnp.maximum(0.0, error - before)
     multiplier = hyper.proportional * error + integral + hyper.derivative * rise
-    return new, integral, jnp.clip(multiplier, 0.0, LARGEST_MULTIPLIER)
+    return new, integral, jnp.clip(multiplier, 0.0, hyper.largest)
 
 
 def _error(cost: jax.Array, limit: jax.Array) -> jax.Array:

@@ -96,8 +96,8 @@ class BraxTrainingEnv(Wrapper):
             )
         if getattr(env, "impl", None) == "native":
             raise WrapperError(
-                f"{env.name} was made with impl='native', which steps one environment at a time and "
-                f"cannot be compiled. Use agym_jax.make({env.name!r}, impl='jax') or 'warp'."
+                f"{env.name} was made with impl='native', whose functions JAX cannot "
+                f"trace. Use agym_jax.make({env.name!r}, impl='jax') or 'warp'."
             )
         super().__init__(env)
         self.episode_length = min(episode_length, env.episode_length)

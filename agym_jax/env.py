@@ -29,13 +29,14 @@ from jax import Array
 
 from agym_jax import observe
 from agym_jax.data.banks import load_bank
-from agym_jax.errors import SpecError, WrapperError
-from agym_jax.human.population import Population
+from agym_jax.errors import SpecError, WrapperError, checked_count
+from agym_jax.human.population import Population, checked_population
 from agym_jax.human.regions import comfort_limits, no_forces
 from agym_jax.jax_settings import full_precision
 from agym_jax.math3d import first_sign, nearest_sign
 from agym_jax.rendering.raycast import Marker
 from agym_jax.sense import Motion, Sensed, quats_of, with_quats
+from agym_jax.sim.arguments import check_key, check_single
 from agym_jax.sim.control import Controller, ControlTargets, checked_action
 from agym_jax.sim.episode import EpisodeSample, geom_sizes, make_episode, sample_episode
 from agym_jax.sim.physics import build_physics, check_traceable, choose_impl, native_rows_of
@@ -80,9 +81,9 @@ class AssistiveEnv:
     ):
         self.task, self.robot, self.active = task, robot, active
         self.comfort = comfort_limits(task)
-        self.humans = humans or Population()
+        self.humans = checked_population(humans)
         self.impl = choose_impl(impl)
-        self.num_envs = num_envs
+        self.num_envs = checked_count("num_envs", num_envs)
         self.scene = build_scene(task, robot, active)
         self.name = f"{task.name}{robot.name}{'Human' if active else ''}-v0"
         self.episode_length = task.episode_length
@@ -171,6 +172,7 @@ class AssistiveEnv:
         Args:
             rng: PRNG key, typed or raw.
         """
+        check_key(rng, self.name)
         check_traceable(self.physics, rng)
         if self.native_rows:
             return self.native_rows.reset_one(raw_key(rng))
@@ -200,7 +202,9 @@ class AssistiveEnv:
 
         Raises:
             ActionError: the shape is wrong, or (outside of jit) entries are not finite.
+            ArgumentError: the state is of a batch.
         """
+        check_single(state, self.name)
         action = checked_action(action, self.action_sizes, self.name)
         check_traceable(self.physics, state.obs, action)
         if self.native_rows:
@@ -265,11 +269,9 @@ class AssistiveEnv:
 
     def jit_functions(self) -> tuple[Callable[[Array], State], Callable[[State, Array], State]]:
         """``reset`` and ``step`` of one environment, compiled as far as the physics allows."""
-        return (
-            (self.reset, self.step)
-            if self.native_rows
-            else (jax.jit(self.reset), jax.jit(self.step))
-        )
+        if self.native_rows:
+            return self.reset, self.step
+        return jax.jit(self.reset), jax.jit(self.step)
 
     # -- the beginning of an episode -----------------------------------------------------------
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import operator
+import re
 from collections.abc import Iterable
+from typing import Any
 
 
-def did_you_mean(name: str, options: Iterable[str]) -> str:
+def did_you_mean(name: Any, options: Iterable[str]) -> str:
     """A sentence with the nearest of ``options``, and all of them if they are few.
 
     Args:
@@ -17,10 +20,17 @@ def did_you_mean(name: str, options: Iterable[str]) -> str:
     if not known:
         return "There are none."
     folded = {option.lower(): option for option in known}
-    near = difflib.get_close_matches(name.lower(), list(folded), n=1, cutoff=0.5)
+    words = {_words(option): option.lower() for option in known}
+    near = [words[_words(str(name))]] if _words(str(name)) in words else []
+    near = near or difflib.get_close_matches(str(name).lower(), list(folded), n=1, cutoff=0.5)
     nearest = f"Did you mean {folded[near[0]]!r}? " if near else ""
     shown = ", ".join(known[:12]) + (f", ... ({len(known)} in all)" if len(known) > 12 else "")
     return f"{nearest}There are: {shown}."
+
+
+def _words(name: str) -> tuple[str, ...]:
+    """The words that a name is written of, in no order: those of JacoScratchItch are those of ScratchItchJaco."""
+    return tuple(sorted(re.findall(r"[A-Z]+[a-z0-9]*|[a-z0-9]+", name)))
 
 
 class AgymError(Exception):
@@ -30,7 +40,7 @@ class AgymError(Exception):
 class UnknownNameError(AgymError, KeyError):
     """A name that does not exist: an environment, robot, joint, site or task."""
 
-    def __init__(self, kind: str, name: str, options: Iterable[str], advice: str = ""):
+    def __init__(self, kind: str, name: Any, options: Iterable[str], advice: str = ""):
         self.kind, self.name = kind, name
         super().__init__(f"Unknown {kind} {name!r}. {did_you_mean(name, options)} {advice}".strip())
 
@@ -48,6 +58,33 @@ class MissingExtraError(AgymError, ImportError):
 
 class MeshError(AgymError, RuntimeError):
     """Meshes that a robot does not have, that cannot be read, or that do not fit it."""
+
+
+class ArgumentError(AgymError, ValueError):
+    """An argument of the wrong kind, or out of range."""
+
+
+def checked_count(name: str, value: Any, at_least: int = 1, advice: str = "") -> int:
+    """A whole number.
+
+    Args:
+        name: of the argument.
+        value: of the argument.
+        at_least: the smallest that makes sense.
+        advice: what to do, for the error.
+
+    Raises:
+        ArgumentError: it is no whole number, or too small.
+    """
+    try:
+        count = None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        count = None
+    if count is None or count < at_least:
+        raise ArgumentError(
+            f"{name} must be a whole number of at least {at_least}, got {value!r}. {advice}".strip()
+        )
+    return count
 
 
 class ActionError(AgymError, ValueError):

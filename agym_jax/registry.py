@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,8 +38,9 @@ def register_task(task: Task) -> None:
     """Add a task from outside of the package; its ids exist for every robot at once.
 
     Raises:
-        SpecError: there is a task of that name already.
+        SpecError: there is a task of that name already, or the name cannot be part of an id.
     """
+    _check_name("task", task.name)
     if task.name in TASKS:
         raise SpecError(f"There is a task {task.name!r} already.")
     TASKS[task.name] = task
@@ -48,11 +50,21 @@ def register_robot(robot: RobotSpec) -> None:
     """Add a robot from outside of the package; its ids exist for every task at once.
 
     Raises:
-        SpecError: there is a robot of that name already.
+        SpecError: there is a robot of that name already, or the name cannot be part of an id.
     """
+    _check_name("robot", robot.name)
     if robot.name in ROBOTS:
         raise SpecError(f"There is a robot {robot.name!r} already.")
     ROBOTS[robot.name] = robot
+
+
+def _check_name(kind: str, name: str) -> None:
+    """Raise if a name cannot be part of an id."""
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name.endswith("Human"):
+        raise SpecError(
+            f"A {kind} cannot be called {name!r}: ids are made of its name, as in ScratchItchJaco-{VERSION}. Use letters "
+            f"and digits, beginning with a letter, and not Human at the end."
+        )
 
 
 def list_envs() -> list[str]:
@@ -75,6 +87,8 @@ def parse(name: str) -> Recipe:
         UnknownNameError: there is no such module or id; the message has the nearest, and says whether
             it is the task or the robot that does not exist.
     """
+    if not isinstance(name, str):
+        raise UnknownNameError("environment", name, list_envs(), _advice("", ""))
     module, _, plain = name.removeprefix("agym_jax/").rpartition(":")
     _import(module, name)
     for task in TASKS:

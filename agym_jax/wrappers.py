@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from agym_jax.errors import ActionError
+from agym_jax.errors import ActionError, ArgumentError, checked_count
 from agym_jax.jax_settings import enable_compilation_cache
+from agym_jax.sim.arguments import check_key
 from agym_jax.sim.physics import check_traceable
 from agym_jax.state import State, begun, moved, raw_key
 
@@ -29,6 +30,7 @@ class VectorEnv:
     """
 
     def __init__(self, env: Any, num_envs: int):
+        checked_count("num_envs", num_envs)
         self.env = env.sized_for(num_envs)
         self.num_envs = num_envs
         self.name = env.name
@@ -54,7 +56,11 @@ class VectorEnv:
 
         Args:
             key: one PRNG key, or one for each environment.
+
+        Raises:
+            ArgumentError: it is no key, or as many as there are environments.
         """
+        check_key(key, self.name, self.num_envs)
         one = key.ndim == (0 if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else 1)
         keys = jax.random.split(key, self.num_envs) if one else key
         state = jax.vmap(self.env.reset)(keys)
@@ -70,8 +76,9 @@ class VectorEnv:
 
         Raises:
             ActionError: the action has another shape.
+            ArgumentError: the state is not one of this batch.
         """
-        self._check_shape(action)
+        self._check_shapes(state, action)
         info = state.info
         state = jax.vmap(self.env.step)(state.replace(info={}), action)
         finished = state.done > 0
@@ -86,7 +93,12 @@ class VectorEnv:
         )
         return state.replace(info=info)
 
-    def _check_shape(self, action: Any) -> None:
+    def _check_shapes(self, state: Any, action: Any) -> None:
+        if np.shape(state.obs)[:-1] != (self.num_envs,):
+            raise ArgumentError(
+                f"{self.name} in a batch of {self.num_envs} steps states of that batch, got one with observations of "
+                f"shape {np.shape(state.obs)}. Take what its own reset and step return."
+            )
         if np.shape(action) != (self.num_envs, self.action_size):
             raise ActionError(
                 f"{self.name} in a batch of {self.num_envs} takes actions of shape "
@@ -123,6 +135,8 @@ class NativeVectorEnv(VectorEnv):
 
     def __init__(self, env: Any, num_envs: int, num_threads: int | None = None):
         super().__init__(env, num_envs)
+        if num_threads is not None:
+            checked_count("num_threads", num_threads)
         wanted = num_threads or len(os.sched_getaffinity(0))
         physics = env.physics
         count = -(-num_envs // physics.rows[1])  # slots
@@ -134,6 +148,7 @@ class NativeVectorEnv(VectorEnv):
 
     def reset(self, key: Array) -> Any:
         """A batch of fresh episodes; see ``VectorEnv.reset``."""
+        check_key(key, self.name, self.num_envs)
         check_traceable(self.env.physics, key)
         key = raw_key(key)
         keys = np.asarray(jax.random.split(key, self.num_envs) if key.ndim == 1 else key)
@@ -149,7 +164,7 @@ class NativeVectorEnv(VectorEnv):
     def step(self, state: Any, action: Any) -> Any:
         """One control step of every environment; see ``VectorEnv.step``."""
         check_traceable(self.env.physics, state.obs, action)
-        self._check_shape(action)
+        self._check_shapes(state, action)
         action, rows = np.asarray(action, np.float32), self.env.native_rows
 
         def step(slot: Any, part: slice) -> tuple[dict[str, Any], Any]:
@@ -183,7 +198,14 @@ def _final(state: Any) -> dict[str, Array]:
 
 
 def vectorize(env: Any, num_envs: int) -> VectorEnv:
-    """``num_envs`` copies of an environment, with auto-reset."""
+    """``num_envs`` copies of an environment, with auto-reset.
+
+    Raises:
+        ArgumentError: ``env`` is no environment, or ``num_envs`` no number of at least 1.
+    """
+    if not hasattr(env, "sized_for"):
+        made = f": agym_jax.make({env!r}) makes one" if isinstance(env, str) else ""
+        raise ArgumentError(f"vectorize takes an environment{made}; got {env!r}.")
     enable_compilation_cache()
     native = getattr(env, "native_rows", None) is not None
     return NativeVectorEnv(env, num_envs) if native else VectorEnv(env, num_envs)

@@ -16,6 +16,7 @@ import jax
 import tyro
 
 from agym_jax.data.npz import check_writable
+from agym_jax.errors import checked_count
 
 from .configs import Count
 from .envs import make_env
@@ -41,6 +42,10 @@ class CompareConfig:
     """Physics: "jax", "warp", "native" or "auto"."""
     json: str | None = None
     """File to which the result is added as a JSON line."""
+
+    def __post_init__(self) -> None:
+        """Refuse what means nothing, before anything is built."""
+        checked_count("--num-episodes", self.num_episodes)
 
 
 def improvement(ours: SeedScores, theirs: SeedScores) -> dict[str, dict[str, Any]]:

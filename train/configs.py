@@ -15,8 +15,14 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import tyro
 
-from .errors import ConfigError
+from .errors import ConfigError, check_save_dir
 
+POSITIVE = ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling")
+NOT_NEGATIVE = (
+    "value_loss_coef", "entropy_coef", "policy_head_gain",
+    "cost_limit", "cost_proportional", "cost_integral", "cost_derivative", "cost_multiplier_max",
+)  # fmt: skip
+SHARES = ("gamma", "gae_lambda", "entropy_decay_share", "cost_tighten_from", "cost_tighten_until")
 MAX_ENV_STEPS = 2**32 - 1  # the learner counts steps in 32 unsigned bits
 
 
@@ -167,25 +173,22 @@ class LearnConfig:
         for name in ("num_env_steps", "num_steps", "ppo_epoch", "num_mini_batch", "num_seeds"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
-        for name in ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} must be greater than 0, got {getattr(self, name)}.")
-        for name in (
-            "gamma",
-            "gae_lambda",
-            "entropy_decay_share",
-            "cost_tighten_from",
-            "cost_tighten_until",
-        ):
+        for name in POSITIVE:
+            value = getattr(self, name)
+            if not value > 0 or (math.isinf(value) and name != "max_grad_norm"):
+                raise ConfigError(f"{name} must be greater than 0 and finite, got {value}.")
+        for name in ("policy_hidden", "value_hidden"):
+            sizes = getattr(self, name)
+            if not sizes or any(size < 1 for size in sizes):
+                raise ConfigError(
+                    f"{name} must be the sizes of at least one layer, each at least 1, such as --{name.replace('_', '-')} "
+                    f"64 64; got {' '.join(map(str, sizes)) or 'none'}."
+                )
+        check_save_dir(self.save_dir)
+        for name in SHARES:
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"{name} must be between 0 and 1, got {getattr(self, name)}.")
-        for name in (
-            "cost_limit",
-            "cost_proportional",
-            "cost_integral",
-            "cost_derivative",
-            "cost_multiplier_max",
-        ):
+        for name in NOT_NEGATIVE:
             value = getattr(self, name)
             if value is not None and not 0 <= value < math.inf:
                 raise ConfigError(f"{name} must be at least 0 and finite, got {value}.")

@@ -16,6 +16,7 @@ import jax
 import tyro
 
 from agym_jax.data.npz import check_writable
+from agym_jax.errors import checked_count
 from agym_jax.policy.agents import BASELINES, Baseline, Pair, parts
 from agym_jax.policy.check import check_policy
 from agym_jax.policy.files import find_policy, load_agent, run_file
@@ -56,6 +57,10 @@ class CrossplayConfig:
     """Physics: "jax", "warp", "native" or "auto"."""
     json: str | None = None
     """File to which the result of each pair is added as a JSON line."""
+
+    def __post_init__(self) -> None:
+        """Refuse what means nothing, before anything is built."""
+        checked_count("--num-episodes", self.num_episodes)
 
 
 def find_files(config: CrossplayConfig) -> tuple[list[str], list[str]]:

@@ -23,6 +23,7 @@ import numpy as np
 import tyro
 
 from agym_jax.data.npz import check_writable
+from agym_jax.errors import checked_count
 from agym_jax.policy.agents import baseline_policy
 from agym_jax.policy.files import PolicyFiles, find_policy, load_policies
 
@@ -63,6 +64,11 @@ class DemoConfig:
     """How long drawing the film may take [s]; decides how many frames it has."""
     seed: int = 1
     """Seed of people and training."""
+
+    def __post_init__(self) -> None:
+        """Refuse what means nothing, before anything is built."""
+        for name in ("humans", "num_env_steps"):
+            checked_count(f"--{name.replace('_', '-')}", getattr(self, name))
 
 
 class Recorder:

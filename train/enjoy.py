@@ -7,6 +7,7 @@ MuJoCo's viewer, and prints each episode's return, force and success.
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
 import warnings
@@ -19,9 +20,12 @@ import jax
 import tyro
 
 from agym_jax.data.npz import check_writable
+from agym_jax.errors import checked_count
 from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.rendering.meshes import check_visuals
+from agym_jax.rendering.render import check_backend
+from agym_jax.sim.pictures import check_camera
 
 from .configs import Count
 from .envs import jit_functions, make_env
@@ -29,6 +33,8 @@ from .errors import ConfigError, reports_errors
 from .learning.rollout import FORCE_KEY
 
 SHEET_PICTURES = 20
+SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
+"""Environment variables of which one names the screen, on Linux."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,25 @@ class EnjoyConfig:
     """How pictures are drawn: "gl", "raycast" or "auto"."""
     visuals: str = "primitives"
     """What the robot looks like: "primitives", or "meshes" of other packages (agym_jax[meshes])."""
+
+    def __post_init__(self) -> None:
+        """Refuse what means nothing or cannot be shown, before anything is built.
+
+        Raises:
+            ArgumentError: no episode, or a picture without pixels.
+            RenderBackendError: there is no such way to draw.
+            UnknownCameraError: there is no such camera.
+            ConfigError: there is no screen for the viewer.
+        """
+        for name in ("episodes", "width", "height"):
+            checked_count(f"--{name}", getattr(self, name))
+        check_backend(self.backend)
+        check_camera(self.camera)
+        if self.viewer and sys.platform == "linux" and not any(map(os.environ.get, SCREENS)):
+            raise ConfigError(
+                "--viewer needs a screen, and there is none (neither DISPLAY nor WAYLAND_DISPLAY is set). Write a film "
+                "instead: --clip out.gif"
+            )
 
 
 @dataclass(frozen=True)

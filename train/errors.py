@@ -32,6 +32,19 @@ class CheckpointWarning(UserWarning):
     """A checkpoint was skipped because it is damaged."""
 
 
+def check_save_dir(save_dir: str | None) -> None:
+    """Refuse a folder without a name, which would be the current one.
+
+    Raises:
+        ConfigError: says what to write instead.
+    """
+    if save_dir is not None and not save_dir.strip():
+        raise ConfigError(
+            "--save-dir is empty. Name a folder; the current one is --save-dir . (train, coop and sweep write nothing "
+            "with --save-dir None)."
+        )
+
+
 def reports_errors(main: Callable[P, int]) -> Callable[P, int]:
     """A command line that says what is wrong instead of showing where it was noticed: exit status 2, interrupted 130."""
 

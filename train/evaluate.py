@@ -16,6 +16,7 @@ import jax
 import tyro
 
 from agym_jax.data.npz import check_writable
+from agym_jax.errors import checked_count
 from agym_jax.policy.agents import AnyPolicy, baseline_policy
 from agym_jax.policy.files import find_policies, load_policies
 
@@ -81,6 +82,10 @@ class EvaluateConfig:
     """Accept a policy of another environment with the same observation layout."""
     json: str | None = None
     """File to which the result is added as a JSON line."""
+
+    def __post_init__(self) -> None:
+        """Refuse what means nothing, before anything is built."""
+        checked_count("--num-episodes", self.num_episodes)
 
 
 @reports_errors

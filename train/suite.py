@@ -27,11 +27,11 @@ import tyro
 
 import agym_jax
 from agym_jax.data.npz import check_writable, write_file
-from agym_jax.errors import AgymError, UnknownNameError
+from agym_jax.errors import AgymError, UnknownNameError, checked_count
 from agym_jax.registry import parse
 
 from .configs import Count, config_for, parse_count
-from .errors import ConfigError
+from .errors import ConfigError, check_save_dir
 from .runs.children import Children, claim, own_program, visible_gpus
 from .runs.overview import JOURNAL, markdown, read_rows, selection_of, training_summary
 from .runs.plots import plot_runs
@@ -67,6 +67,12 @@ class SuiteConfig:
     """Measure the policies that ship with agym_jax too, over the people of the report."""
     clips: bool = True
     """Film an episode of each chosen policy, on the CPU while the next environments train."""
+
+    def __post_init__(self) -> None:
+        """Refuse what means nothing, before anything is built."""
+        for name in ("num_seeds", "num_episodes", "parallel"):
+            checked_count(f"--{name.replace('_', '-')}", getattr(self, name))
+        check_save_dir(self.save_dir)
 
 
 @dataclass(frozen=True)
@@ -327,8 +333,8 @@ def main(
     program: tuple[str, ...] | None = None,
 ) -> int:
     """The command line; returns the exit status."""
-    config = tyro.cli(SuiteConfig, prog=prog, args=arguments, description=__doc__)
     try:
+        config = tyro.cli(SuiteConfig, prog=prog, args=arguments, description=__doc__)
         ids = suite_ids(config.only)
         for name in ids:
             steps_of(config.steps, name)

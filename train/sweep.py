@@ -20,11 +20,11 @@ import numpy as np
 import tyro
 
 from agym_jax.data.npz import write_file
-from agym_jax.errors import UnknownNameError
+from agym_jax.errors import UnknownNameError, checked_count
 
 from .configs import Count, LearnConfig, PPOConfig, config_for
 from .envs import make_env, refuse_active_human
-from .errors import ConfigError, reports_errors
+from .errors import ConfigError, check_save_dir, reports_errors
 from .evaluation.statistics import bootstrap_interval, iqm
 from .learning.agents import Agents
 from .learning.seeds import Lane
@@ -63,6 +63,11 @@ class SweepConfig:
     """Physics: "jax", "warp", "native" or "auto"."""
     save_dir: str | None = "sweeps"
     """Folder of the results. None writes nothing."""
+
+    def __post_init__(self) -> None:
+        """Refuse what means nothing, before anything is built."""
+        checked_count("--num-seeds", self.num_seeds)
+        check_save_dir(self.save_dir)
 
 
 def parse_grid(grid: Sequence[str], random: int = 0, seed: int = 0) -> list[Setting]:

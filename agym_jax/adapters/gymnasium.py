@@ -22,12 +22,13 @@ import numpy as np
 from gymnasium import spaces
 
 import agym_jax
-from agym_jax.errors import ActionError, AgymError, did_you_mean
-from agym_jax.human.population import Population
+from agym_jax.errors import ActionError, AgymError, checked_count, did_you_mean
+from agym_jax.human.population import Population, checked_population
 from agym_jax.registry import parse
 from agym_jax.rendering.meshes import check_visuals
 from agym_jax.rendering.render import Renderer
 from agym_jax.sim.physics import choose_impl
+from agym_jax.sim.pictures import check_camera
 
 RENDER_MODES = ("rgb_array",)
 
@@ -45,7 +46,7 @@ class _Programs(NamedTuple):
 
 
 @cache
-def _programs(env_id: str, impl: str, humans: Population | None) -> _Programs:
+def _programs(env_id: str, impl: str, humans: Population) -> _Programs:
     env = agym_jax.make(env_id, impl=choose_impl(impl, traced=False), humans=humans)
     return _Programs(env, *env.jit_functions())
 
@@ -72,6 +73,8 @@ class GymnasiumEnv(gymnasium.Env):
         MeshError: this robot has no meshes, or they do not fit it.
         RenderModeError: there is no such render mode.
         ImplementationError: there is no such physics, or it is not installed.
+        ArgumentError: ``humans`` is no population, or pictures have no pixels.
+        UnknownCameraError: there is no such camera.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
@@ -92,7 +95,10 @@ class GymnasiumEnv(gymnasium.Env):
                 f"{env_id} has no render mode {render_mode!r}. {did_you_mean(render_mode, RENDER_MODES)}"
             )
         check_visuals(visuals, parse(env_id).robot)
-        self._programs = _programs(env_id, impl, humans)
+        checked_count("width", width)
+        checked_count("height", height)
+        check_camera(camera)
+        self._programs = _programs(env_id, impl, checked_population(humans))
         self._looks = visuals
         self.render_mode = render_mode
         self._view = (width, height, camera)

@@ -40,14 +40,24 @@ BROKEN = (
 
 def _unpack(content: bytes) -> dict[str, np.ndarray]:
     """The arrays in a file's bytes; raises one of ``BROKEN`` if they are no ``.npz``."""
-    if not zipfile.is_zipfile(io.BytesIO(content)):
+    if not content.startswith(b"PK") or not zipfile.is_zipfile(io.BytesIO(content)):
         raise ValueError("it is no .npz file")
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
+        arrays = {name: _entry(archive, name) for name in archive.files}
     for name, array in arrays.items():
         if not isinstance(array, np.ndarray):  # NumPy hands out the bytes of what is no array
             raise ValueError(f"{name} is no array")
     return arrays
+
+
+def _entry(archive: Any, name: str) -> np.ndarray:
+    """One array of an archive; Python's objects in it are never loaded, whatever NumPy advises."""
+    try:
+        return archive[name]
+    except ValueError as error:
+        if "pickle" not in str(error):
+            raise
+        raise ValueError(f"{name} is no array of numbers") from None
 
 
 # -- assets ------------------------------------------------------------------------------------

@@ -5,16 +5,21 @@ Distributions of Assistive Gym v0.1 ``world_creation.py`` (reference humans.md s
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from agym_jax.errors import UnknownNameError
+from agym_jax.errors import ArgumentError, UnknownNameError
 from agym_jax.human import anthropometry
 
 IMPAIRMENTS = ("none", "limits", "weakness", "tremor")
 MASSES = ("body", "ag")
+LEAST = {"blend": -math.inf, "stature": 0.0, "girth": 0.0}
+"""What the ranges of sizes must be above."""
 
 
 @jax.tree_util.register_dataclass
@@ -60,13 +65,63 @@ class Population:
     masses: str = "body"
 
     def __post_init__(self) -> None:
+        """Refuse populations that nobody is drawn from.
+
+        Raises:
+            UnknownNameError: a name that does not exist.
+            ArgumentError: a range without anybody in it, one that ``sizes`` ignores, or no impairment.
+        """
         if self.sizes not in ("ag", "continuous"):
             raise UnknownNameError("way to draw sizes", self.sizes, ("ag", "continuous"))
         if self.masses not in MASSES:
             raise UnknownNameError("distribution of masses", self.masses, MASSES)
-        for name in self.impairments or ():
+        if self.impairments is not None:
+            self._check_impairments(self.impairments)
+        for field in dataclasses.fields(self):
+            if field.name in LEAST:
+                value = getattr(self, field.name)
+                _check_range(field.name, value)
+                if self.sizes == "ag" and value != field.default:
+                    raise ArgumentError(
+                        f'sizes="ag" has two sizes and ignores {field.name}={value}. Use '
+                        f'sizes="continuous", or leave {field.name} out.'
+                    )
+
+    def _check_impairments(self, names: Any) -> None:
+        if not isinstance(names, tuple) or not names:
+            raise ArgumentError(
+                f'impairments must be a tuple of names, such as ("none",) or ("none", "tremor"), or None for those '
+                f"of the task; got {names!r}. There are: {', '.join(IMPAIRMENTS)}."
+            )
+        for name in names:
             if name not in IMPAIRMENTS:
                 raise UnknownNameError("impairment", name, IMPAIRMENTS)
+
+
+def checked_population(humans: Any) -> Population:
+    """The population that was asked for; Assistive Gym's men and women if none was.
+
+    Raises:
+        ArgumentError: it is no ``Population``.
+    """
+    if humans is not None and not isinstance(humans, Population):
+        raise ArgumentError(
+            f"humans must be a Population, got {humans!r}. Write from agym_jax.human.population import Population, "
+            f'and humans=Population(sizes="continuous") for people of every size.'
+        )
+    return humans or Population()
+
+
+def _check_range(name: str, value: Any) -> None:
+    """Raise if a range is not two finite numbers in order."""
+    least, numbers = LEAST[name], isinstance(value, tuple) and len(value) == 2
+    numbers = numbers and all(
+        isinstance(x, (int, float)) and not isinstance(x, bool) for x in value
+    )
+    if not numbers or not all(map(math.isfinite, value)) or not least < value[0] <= value[1]:
+        raise ArgumentError(
+            f"{name} must be a tuple of two finite numbers (low, high) with {least:g} < low <= high, got {value!r}."
+        )
 
 
 def sample_human(

@@ -18,7 +18,7 @@ from typing import Any
 
 from agym_jax.data.banks import SHAPES, VARIABLE, Placement, bank_folders, bank_path
 from agym_jax.data.npz import check_writable, provenance_of, read_arrays, write_arrays
-from agym_jax.errors import AgymError, MissingPlacementError
+from agym_jax.errors import AgymError, MissingPlacementError, checked_count
 from agym_jax.offline.base_search import search
 from agym_jax.registry import parse
 
@@ -93,6 +93,9 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax placements") -
         if args.command == "report":
             print(report_banks())
             return 0
+        checked_count("--size", args.size)
+        for name in args.ids:
+            parse(name)  # the last of them too, before the first is built
         for name in args.ids:
             _build(name, args.seed, args.size)
     except AgymError as error:

@@ -83,13 +83,18 @@ class Policy:
         return sample_action(networks, normalizer, self.weights, obs, key)[0]
 
 
-def _flatten(tree: Mapping[str, Any], prefix: str) -> dict[str, np.ndarray]:
-    """Nested dictionaries to ``prefix/a/b`` names."""
-    flat: dict[str, np.ndarray] = {}
+def _named(tree: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    """The leaves of nested dictionaries, by names like ``prefix/a/b``."""
+    flat: dict[str, Any] = {}
     for name, value in tree.items():
         path = f"{prefix}/{name}"
-        flat |= _flatten(value, path) if isinstance(value, Mapping) else {path: np.asarray(value)}
+        flat |= _named(value, path) if isinstance(value, Mapping) else {path: value}
     return flat
+
+
+def _flatten(tree: Mapping[str, Any], prefix: str) -> dict[str, np.ndarray]:
+    """The same, as NumPy's arrays."""
+    return {name: np.asarray(value) for name, value in _named(tree, prefix).items()}
 
 
 def _unflatten(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, Any]:
@@ -129,7 +134,7 @@ def read_policy(path: Path | str) -> Policy:
 
     Raises:
         PolicyNotFoundError: no such file; lists the policies that lie near it.
-        PolicyDamagedError: the file is not whole, or no policy.
+        PolicyDamagedError: the file is not whole, or no policy, or one that cannot act.
     """
     path = Path(path)
     try:
@@ -142,17 +147,44 @@ def read_policy(path: Path | str) -> Policy:
         raise PolicyDamagedError(
             f"{path} is not a policy of format {FORMAT} (format {meta.get('format')!r})."
         )
-    sizes: dict[str, Any] = {
-        k: tuple(v) if isinstance(v, list) else v for k, v in meta.pop("arch").items()
-    }
+    fault = _fault(meta["arch"], arrays)
+    if fault:
+        raise PolicyDamagedError(f"{path} cannot act: {fault}. Fetch or train the policy again.")
+    arch = _architecture(meta.pop("arch"))
     agent = meta.get("agent", "robot")
     return Policy(
         weights=_unflatten(arrays, "policy"),
         mean=jnp.asarray(arrays["observation/mean"]),
         std=jnp.asarray(arrays["observation/std"]),
-        arch=Architecture(**sizes),
+        arch=arch,
         info=meta | {"agent": FORMER_AGENTS.get(agent, agent)},
     )
+
+
+def _architecture(record: Mapping[str, Any]) -> Architecture:
+    fields: dict[str, Any] = {k: tuple(x) if isinstance(x, list) else x for k, x in record.items()}
+    return Architecture(**fields)
+
+
+def _fault(record: Any, arrays: Mapping[str, np.ndarray]) -> str | None:
+    """What is wrong with the arrays of a policy, in words."""
+    try:
+        arch = _architecture(record)
+        network = make_networks(arch).policy_network
+        weights = jax.eval_shape(network.init, jax.random.PRNGKey(0))
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        return f"its record of a network is none ({type(error).__name__}: {error})"
+    shapes = {name: x.shape for name, x in _named(weights, "policy").items()}
+    shapes |= dict.fromkeys(("observation/mean", "observation/std"), (arch.observation_size,))
+    for name, shape in shapes.items():
+        array = arrays.get(name)
+        if array is None:
+            return f"it has no {name}"
+        if array.shape != shape:
+            return f"{name} has the shape {array.shape}, not {shape}"
+        if array.dtype.kind != "f" or not np.isfinite(array).all():
+            return f"{name} has entries that are no finite numbers"
+    return None if (arrays["observation/std"] > 0).all() else "observation/std is not positive"
 
 
 def shipped() -> list[str]:

@@ -8,23 +8,22 @@ If none opens, it warns which system package is missing and uses the ray caster.
 from __future__ import annotations
 
 import contextlib
-import copy
 import ctypes
 import importlib
-import math
 import os
 import platform
 import sys
 import warnings
 import weakref
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
 
-from agym_jax.errors import AgymError, UnknownNameError, did_you_mean
+from agym_jax.errors import AgymError, UnknownNameError, checked_count, did_you_mean
 from agym_jax.rendering import shading
+from agym_jax.rendering.quality import with_quality
 from agym_jax.rendering.raycast import Marker
 
 __all__ = [
@@ -41,11 +40,6 @@ INSTALL_GL = (
     "on Debian or Ubuntu: apt-get install libegl1 libopengl0 libgl1-mesa-dri "
     "(or libosmesa6 where EGL is not available)"
 )
-
-
-FULL_SIZE = 640
-"""Longest side of a picture from which on everything is drawn as finely as the model says [pixels]."""
-MIN_SHADOW_SIZE, MIN_SAMPLES, MIN_SLICES, MIN_STACKS = 256, 4, 12, 8
 
 
 class UnknownCameraError(UnknownNameError):
@@ -158,62 +152,13 @@ def _open_context(width: int, height: int) -> tuple[Any, str]:
     raise RenderBackendError("; ".join(reasons) or "MUJOCO_GL disables it")
 
 
-class Quality(NamedTuple):
-    """How finely OpenGL draws; names and meaning are those of ``MjModel.vis.quality``."""
-
-    shadowsize: int
-    """Side of the shadow map [pixels]."""
-    offsamples: int
-    """Samples of a pixel."""
-    numslices: int
-    """Around a round geom."""
-    numstacks: int
-    """Along a round geom."""
-
-
-def quality_for(full: Quality, width: int, height: int) -> Quality:
-    """As fine as a picture can show: on a CPU, a finer one costs as much as a large picture.
-
-    The shadow map and the samples shrink with the picture's longest side. A circle of n slices is off by
-    1 / n^2 of its radius, so slices and stacks shrink with the root.
-
-    Args:
-        full: of pictures of ``FULL_SIZE`` and more; no picture gets more than that.
-        width: of the picture [pixels].
-        height: of the picture [pixels].
-    """
-    share = min(1.0, max(width, height) / FULL_SIZE)
-    return Quality(
-        min(full.shadowsize, max(MIN_SHADOW_SIZE, _power_of_two(share * full.shadowsize))),
-        min(full.offsamples, max(MIN_SAMPLES, _power_of_two(share * full.offsamples))),
-        min(full.numslices, max(MIN_SLICES, math.ceil(share**0.5 * full.numslices))),
-        min(full.numstacks, max(MIN_STACKS, math.ceil(share**0.5 * full.numstacks))),
-    )
-
-
-def _power_of_two(at_least: float) -> int:
-    return 1 << max(0, math.ceil(at_least) - 1).bit_length()
-
-
-def _with_quality(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
-    """The model, or a copy of it that is drawn as finely as the picture can show."""
-    full = Quality(*(getattr(model.vis.quality, name) for name in Quality._fields))
-    wanted = quality_for(full, width, height)
-    if wanted == full:
-        return model
-    model = copy.copy(model)
-    for name, value in wanted._asdict().items():
-        setattr(model.vis.quality, name, value)
-    return model
-
-
 class _GLBackend:
     """OpenGL through MuJoCo's classic renderer."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int):
         self._gl, self.library = _open_context(width, height)
         try:
-            fitting = _with_quality(model, width, height)
+            fitting = with_quality(model, width, height)
             self._context = mujoco.MjrContext(fitting, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:
             _Process.gl_failed = f"{self.library}: {error}"
@@ -266,14 +211,23 @@ class _RaycastBackend:
         """The ray caster holds no resources."""
 
 
+def check_backend(name: str) -> None:
+    """Refuse a backend that does not exist.
+
+    Raises:
+        RenderBackendError: the message has the nearest.
+    """
+    if name not in BACKENDS:
+        near = did_you_mean(name, BACKENDS)
+        raise RenderBackendError(f"Unknown backend {name!r} (argument or AGYM_JAX_RENDER). {near}")
+
+
 def _open_backend(
     model: mujoco.MjModel, width: int, height: int, asked: str
 ) -> tuple[str, _Backend]:
     """Name of the backend and the backend; warns once per process if "auto" cannot use OpenGL."""
     asked = os.environ.get("AGYM_JAX_RENDER", "").lower().strip() or asked
-    if asked not in BACKENDS:
-        near = did_you_mean(asked, BACKENDS)
-        raise RenderBackendError(f"Unknown backend {asked!r} (argument or AGYM_JAX_RENDER). {near}")
+    check_backend(asked)
     if asked != "raycast":
         try:
             return "gl", _GLBackend(model, width, height)
@@ -311,6 +265,7 @@ class Renderer:
     Raises:
         UnknownCameraError: the model has no such camera.
         RenderBackendError: unknown backend, or "gl" is not available.
+        ArgumentError: a picture without pixels.
     """
 
     def __init__(
@@ -322,7 +277,9 @@ class Renderer:
         backend: str = "auto",
     ):
         self._model = model
-        self._camera = _find_camera(model, camera)
+        checked_count("width", width)
+        checked_count("height", height)
+        self._camera = camera_of(model, camera)
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0
         self._view: mujoco.MjvScene | None = None
@@ -363,10 +320,20 @@ class Renderer:
         self.close()
 
 
-def _find_camera(model: mujoco.MjModel, camera: str | int) -> mujoco.MjvCamera:
-    """MuJoCo's camera of a name or id."""
+def camera_of(model: mujoco.MjModel, camera: str | int) -> mujoco.MjvCamera:
+    """MuJoCo's camera of a name or id.
+
+    Args:
+        model: that has it.
+        camera: its name, or its number, which may be written as text; -1 is a free camera.
+
+    Raises:
+        UnknownCameraError: the model has no such camera.
+    """
     names = [model.camera(i).name for i in range(model.ncam)]
-    if isinstance(camera, str):
+    if isinstance(camera, str) and camera not in names and camera.lstrip("-").isdigit():
+        camera = int(camera)
+    if not isinstance(camera, int):
         number = names.index(camera) if camera in names else model.ncam
     else:
         number = camera

@@ -6,7 +6,9 @@ import jax
 import mujoco
 import numpy as np
 
+from agym_jax.data.assets import asset_path
 from agym_jax.rendering.raycast import Marker
+from agym_jax.rendering.render import camera_of
 from agym_jax.sim.scene import compose, draw_surfaces
 from agym_jax.spec import Furnished, Pose, RobotSpec, Surface, Surfaced, Task
 from agym_jax.state import State
@@ -39,6 +41,17 @@ def picture_model(
         for name, pos in task.props(state.task).items():
             model.body(f"seat/{name}/{name}").pos = np.asarray(pos)
     return model
+
+
+def check_camera(camera: str | int) -> None:
+    """Refuse the name of a camera that no scene has, before one is built; a robot's own have a slash in their name.
+
+    Raises:
+        UnknownCameraError: the message has the nearest.
+    """
+    numbered = isinstance(camera, int) or (isinstance(camera, str) and camera.lstrip("-").isdigit())
+    if not numbered and not (isinstance(camera, str) and "/" in camera):
+        camera_of(mujoco.MjModel.from_xml_path(str(asset_path("scene.xml"))), camera)
 
 
 def write_pose(task: Task, state: State, data: mujoco.MjData, model: mujoco.MjModel) -> None:

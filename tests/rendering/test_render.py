@@ -12,7 +12,7 @@ from paths import PROCESS_SECONDS
 
 from agym_jax import rendering
 from agym_jax.errors import AgymError
-from agym_jax.rendering import Marker, Renderer, render
+from agym_jax.rendering import Marker, Renderer, quality, render
 
 WIDTH, HEIGHT = 120, 90
 SCENE = """
@@ -141,41 +141,41 @@ def test_large_images_need_no_framebuffer_in_the_model(backend):
         assert renderer.render(data).shape == (40, 800, 3)
 
 
-FULL = render.Quality(shadowsize=4096, offsamples=8, numslices=40, numstacks=24)
+FULL = quality.Quality(shadowsize=4096, offsamples=8, numslices=40, numstacks=24)
 
 
 @pytest.mark.parametrize(
-    ("size", "quality"),
+    ("size", "expected"),
     [
         ((1280, 960), FULL),
         ((640, 480), FULL),
         ((480, 640), FULL),
-        ((320, 240), render.Quality(2048, 4, 29, 17)),
-        ((64, 64), render.Quality(512, 4, 13, 8)),
-        ((1, 1), render.Quality(256, 4, 12, 8)),
+        ((320, 240), quality.Quality(2048, 4, 29, 17)),
+        ((64, 64), quality.Quality(512, 4, 13, 8)),
+        ((1, 1), quality.Quality(256, 4, 12, 8)),
     ],
 )
-def test_quality_shrinks_with_the_picture(size, quality):
-    assert render.quality_for(FULL, *size) == quality
+def test_quality_shrinks_with_the_picture(size, expected):
+    assert quality.quality_for(FULL, *size) == expected
 
 
 def test_quality_is_never_finer_than_the_model_says():
-    coarse = render.Quality(shadowsize=0, offsamples=0, numslices=9, numstacks=3)
-    assert all(render.quality_for(coarse, side, 8) == coarse for side in (8, 300, 4000))
+    coarse = quality.Quality(shadowsize=0, offsamples=0, numslices=9, numstacks=3)
+    assert all(quality.quality_for(coarse, side, 8) == coarse for side in (8, 300, 4000))
 
 
 @pytest.mark.skipif("gl" not in BACKENDS, reason="needs OpenGL")
 def test_opengl_draws_as_finely_as_the_picture_shows_and_leaves_the_model_alone():
     model, _ = scene()
-    full = render.Quality(*(getattr(model.vis.quality, name) for name in render.Quality._fields))
+    full = quality.Quality(*(getattr(model.vis.quality, name) for name in quality.Quality._fields))
     with (
         Renderer(model, 64, 64, backend="gl") as small,
         Renderer(model, 640, 8, backend="gl") as wide,
     ):
         sizes = [renderer._backend._context.shadowSize for renderer in (small, wide)]
-    assert sizes == [render.quality_for(full, 64, 64).shadowsize, full.shadowsize]
-    assert full == render.Quality(
-        *(getattr(model.vis.quality, name) for name in render.Quality._fields)
+    assert sizes == [quality.quality_for(full, 64, 64).shadowsize, full.shadowsize]
+    assert full == quality.Quality(
+        *(getattr(model.vis.quality, name) for name in quality.Quality._fields)
     )
 
 

@@ -204,8 +204,8 @@ class AssistiveEnv:
             ActionError: the shape is wrong, or (outside of jit) entries are not finite.
             ArgumentError: the state is of a batch.
         """
-        check_single(state, self.name)
         action = checked_action(action, self.action_sizes, self.name)
+        check_single(state, self.name)
         check_traceable(self.physics, state.obs, action)
         if self.native_rows:
             return limited_by_brax(self.native_rows.step_one(state, action))

@@ -94,15 +94,15 @@ class VectorEnv:
         return state.replace(info=info)
 
     def _check_shapes(self, state: Any, action: Any) -> None:
-        if np.shape(state.obs)[:-1] != (self.num_envs,):
-            raise ArgumentError(
-                f"{self.name} in a batch of {self.num_envs} steps states of that batch, got one with observations of "
-                f"shape {np.shape(state.obs)}. Take what its own reset and step return."
-            )
         if np.shape(action) != (self.num_envs, self.action_size):
             raise ActionError(
                 f"{self.name} in a batch of {self.num_envs} takes actions of shape "
                 f"({self.num_envs}, {self.action_size}), got {np.shape(action)}."
+            )
+        if np.shape(state.obs)[:-1] != (self.num_envs,):
+            raise ArgumentError(
+                f"{self.name} in a batch of {self.num_envs} steps states of that batch, got one with observations of "
+                f"shape {np.shape(state.obs)}. Take what its own reset and step return."
             )
 
     def stagger(self, state: Any, key: Array) -> Any:

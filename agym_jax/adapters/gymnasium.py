@@ -47,7 +47,7 @@ class _Programs(NamedTuple):
 
 @cache
 def _programs(env_id: str, impl: str, humans: Population) -> _Programs:
-    env = agym_jax.make(env_id, impl=choose_impl(impl, traced=False), humans=humans)
+    env = agym_jax.make(env_id, impl=impl, humans=humans)
     return _Programs(env, *env.jit_functions())
 
 
@@ -56,6 +56,9 @@ class GymnasiumEnv(gymnasium.Env):
 
     Episodes are truncated after 200 steps, as all of Assistive Gym's are; they terminate only when
     the physics fails. ``info`` has Assistive Gym's keys and the reward's terms.
+
+    ``copy.deepcopy`` and ``pickle`` keep the state of the episode and the generator of the episodes to come: a copy goes
+    on as the original would, and neither changes the other, so a planner can try actions in copies. They share what is compiled.
 
     Args:
         env_id: as in ``agym_jax.list_envs()``.
@@ -98,7 +101,9 @@ class GymnasiumEnv(gymnasium.Env):
         checked_count("width", width)
         checked_count("height", height)
         check_camera(camera)
-        self._programs = _programs(env_id, impl, checked_population(humans))
+        humans = checked_population(humans)
+        self._made_of = (env_id, choose_impl(impl, traced=False), humans)
+        self._programs = _programs(*self._made_of)
         self._looks = visuals
         self.render_mode = render_mode
         self._view = (width, height, camera)
@@ -113,6 +118,15 @@ class GymnasiumEnv(gymnasium.Env):
         self._state: Any = None
         self._over = True
         self._pictures: tuple[Renderer, Any, Any] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but programs, which are found or compiled again, and windows of the renderer."""
+        kept = {name: x for name, x in vars(self).items() if name not in ("_programs", "_pictures")}
+        return kept | {"_state": jax.device_get(self._state)}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        vars(self).update(kept)
+        self._programs, self._pictures = _programs(*self._made_of), None
 
     @property
     def core(self) -> agym_jax.Env:

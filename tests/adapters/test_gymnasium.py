@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import copy
 import os
+import pickle
 import subprocess
 import sys
 import warnings
@@ -190,6 +192,40 @@ def test_one_environment_is_c_mujocos_on_a_cpu_and_the_same_as_mjxs(
         np.testing.assert_allclose(mine, theirs, atol=1e-3)
         assert reward == pytest.approx(their_reward, abs=1e-3) and ends == their_ends
         assert set(info["reward_terms"]) == set(their_info["reward_terms"])
+
+
+def _same(one: tuple, other: tuple) -> None:
+    """Two results of ``step`` are equal."""
+    np.testing.assert_array_equal(one[0], other[0])
+    assert one[1:] == other[1:]
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("how", ["deepcopy", "pickle"])
+def test_a_copy_goes_on_as_the_original_would_and_by_itself(env: gymnasium.Env, raycast, how: str):
+    env.reset(seed=2)
+    actions = np.random.default_rng(0).uniform(-1, 1, (8, 7)).astype(np.float32)
+    for action in actions[:3]:
+        env.step(action)
+    env.render()  # what draws is not copied
+    other = copy.deepcopy(env) if how == "deepcopy" else pickle.loads(pickle.dumps(env))
+    assert other.unwrapped.core is env.unwrapped.core  # what is compiled is shared
+    planned = [other.step(action) for action in actions[3:]]  # a planner tries something
+    assert other.render().shape == (48, 64, 3)
+    fresh = other.reset()[0]
+    for action, found in zip(actions[3:], planned, strict=True):
+        _same(env.step(action), found)
+    np.testing.assert_array_equal(env.reset()[0], fresh)  # the next person too
+    other.close()
+
+
+def test_what_has_not_begun_can_be_copied():
+    for other in (
+        copy.deepcopy(GymnasiumEnv(NAME)),
+        pickle.loads(pickle.dumps(GymnasiumEnv(NAME))),
+    ):
+        with pytest.raises(gymnasium.error.ResetNeeded, match="no state before"):
+            _ = other.state
 
 
 @pytest.mark.jit

@@ -87,8 +87,9 @@ def __getattr__(name: str) -> Any:
 
 
 def register_envs() -> None:
-    """Make every id known to gymnasium, which builds ``agym_jax.adapters.gymnasium.GymnasiumEnv``.
+    """Make every id known to gymnasium's ``make`` and ``make_vec``.
 
+    They build ``agym_jax.adapters.gymnasium.GymnasiumEnv`` and ``agym_jax.adapters.vector.GymnasiumVectorEnv``.
     Done on import, by name only: Gymnasium 1.0 dropped the entry point of plug-ins, and finds ids of
     packages that have been imported. Do it again after ``agym_jax.registry`` was given a task or robot.
     """
@@ -97,7 +98,10 @@ def register_envs() -> None:
     for name in list_envs():
         if name not in gymnasium.registry:
             gymnasium.register(
-                name, "agym_jax.adapters.gymnasium:GymnasiumEnv", kwargs={"env_id": name}
+                name,
+                "agym_jax.adapters.gymnasium:GymnasiumEnv",
+                vector_entry_point="agym_jax.adapters.vector:GymnasiumVectorEnv",
+                kwargs={"env_id": name},
             )
 
 

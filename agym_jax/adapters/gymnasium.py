@@ -13,6 +13,7 @@ observations exceed.
 
 from __future__ import annotations
 
+import os
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -35,6 +36,57 @@ RENDER_MODES = ("rgb_array",)
 
 class RenderModeError(AgymError, ValueError):
     """A way to render that the environment does not have, or was not made with."""
+
+
+class ForkedProcessError(AgymError, RuntimeError):
+    """An environment in a copy of a process whose JAX has begun to compute; it would wait for ever."""
+
+
+class _Process:
+    """Where environments have been made."""
+
+    pid: int | None = None
+
+
+def refuse_fork() -> None:
+    """Raise in a process that was forked from one that has made an environment.
+
+    Raises:
+        ForkedProcessError: says what to use instead.
+    """
+    if _Process.pid not in (None, os.getpid()):
+        raise ForkedProcessError(
+            "JAX does not work in a forked process, as those of gymnasium.make_vec(id, vectorization_mode='async') are. Use "
+            "gymnasium.make_vec(id, num_envs=64), which steps all environments together in threads and is faster; or new "
+            "processes: make_vec(id, vectorization_mode='async', vector_kwargs={'context': 'spawn'})."
+        )
+    _Process.pid = os.getpid()
+
+
+def check_render_mode(env_id: str, render_mode: str | None) -> None:
+    """Refuse a render mode that does not exist.
+
+    Raises:
+        RenderModeError: the message has the nearest.
+    """
+    if render_mode is not None and render_mode not in RENDER_MODES:
+        raise RenderModeError(
+            f"{env_id} has no render mode {render_mode!r}. {did_you_mean(render_mode, RENDER_MODES)}"
+        )
+
+
+def key_of(generator: np.random.Generator) -> np.ndarray:
+    """The raw PRNG key of an episode, drawn from an environment's generator (2,)."""
+    return np.asarray(jax.random.PRNGKey(int(generator.integers(2**31))))
+
+
+def lengths_of(env: agym_jax.Env) -> dict[str, int]:
+    """How many entries of observation and action are whose, as in Assistive Gym's ``info``."""
+    return {
+        f"{kind}_{agent}_len": sizes.get(agent, 0)
+        for kind, sizes in (("obs", env.observation_sizes), ("action", env.action_sizes))
+        for agent in ("robot", "human")
+    }
 
 
 class _Programs(NamedTuple):
@@ -76,6 +128,7 @@ class GymnasiumEnv(gymnasium.Env):
         MeshError: this robot has no meshes, or they do not fit it.
         RenderModeError: there is no such render mode.
         ImplementationError: there is no such physics, or it is not installed.
+        ForkedProcessError: this process is a copy of one that has made an environment already.
         ArgumentError: ``humans`` is no population, or pictures have no pixels.
         UnknownCameraError: there is no such camera.
     """
@@ -93,15 +146,13 @@ class GymnasiumEnv(gymnasium.Env):
         camera: str | int = "front",
         visuals: str = "primitives",
     ):
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise RenderModeError(
-                f"{env_id} has no render mode {render_mode!r}. {did_you_mean(render_mode, RENDER_MODES)}"
-            )
+        check_render_mode(env_id, render_mode)
         check_visuals(visuals, parse(env_id).robot)
         checked_count("width", width)
         checked_count("height", height)
         check_camera(camera)
         humans = checked_population(humans)
+        refuse_fork()
         self._made_of = (env_id, choose_impl(impl, traced=False), humans)
         self._programs = _programs(*self._made_of)
         self._looks = visuals
@@ -110,11 +161,7 @@ class GymnasiumEnv(gymnasium.Env):
         env = self._programs.env
         self.action_space = spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
         self.observation_space = spaces.Box(-np.inf, np.inf, (env.observation_size,), np.float32)
-        self._lengths = {
-            f"{kind}_{agent}_len": sizes.get(part, 0)
-            for kind, sizes in (("obs", env.observation_sizes), ("action", env.action_sizes))
-            for agent, part in (("robot", "robot"), ("human", "human"))
-        }
+        self._lengths = lengths_of(env)
         self._state: Any = None
         self._over = True
         self._pictures: tuple[Renderer, Any, Any] | None = None
@@ -156,8 +203,7 @@ class GymnasiumEnv(gymnasium.Env):
         super().reset(seed=seed)
         if options:
             raise AgymError(f"{self.core.name} knows no reset options, got: {', '.join(options)}.")
-        key = jax.random.PRNGKey(int(self.np_random.integers(2**31)))
-        self._state = self._programs.reset(key)
+        self._state = self._programs.reset(key_of(self.np_random))
         self._over = False
         self._forget_pictures()  # they show the person before
         return np.array(self._state.obs), self._info(jax.device_get(self._state.metrics))
@@ -242,4 +288,4 @@ def register_envs() -> None:
     agym_jax.register_envs()
 
 
-__all__ = ["GymnasiumEnv", "RenderModeError", "register_envs"]
+__all__ = ["ForkedProcessError", "GymnasiumEnv", "RenderModeError", "register_envs"]

@@ -1,0 +1,260 @@
+"""Many environments as one ``gymnasium.vector.VectorEnv``: NumPy in and out, restarted as somebody else when they end.
+
+    import agym_jax, gymnasium
+    envs = gymnasium.make_vec("ScratchItchJaco-v0", num_envs=64)
+
+On a CPU the physics is C MuJoCo's, in threads; on an NVIDIA GPU it is MuJoCo Warp's. Code that knows JAX is faster with
+``agym_jax.wrappers.vectorize``, whose arrays stay on the device.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import gymnasium
+import jax
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+import agym_jax
+from agym_jax.adapters.gymnasium import (
+    RENDER_MODES,
+    check_render_mode,
+    key_of,
+    lengths_of,
+    refuse_fork,
+)
+from agym_jax.errors import ActionError, AgymError, ArgumentError, checked_count
+from agym_jax.human.population import Population, checked_population
+from agym_jax.registry import parse
+from agym_jax.rendering.meshes import check_visuals
+from agym_jax.rendering.render import Renderer
+from agym_jax.sim.physics import choose_impl
+from agym_jax.sim.pictures import check_camera
+from agym_jax.wrappers import vectorize
+
+
+class _Programs(NamedTuple):
+    """A batch and its functions, compiled where they can be; all instances of an id and a size share them."""
+
+    envs: Any
+    reset: Any
+    step: Any
+
+
+@cache
+def _programs(env_id: str, num_envs: int, impl: str, humans: Population) -> _Programs:
+    envs = vectorize(agym_jax.make(env_id, impl=impl, humans=humans), num_envs)
+    if impl == "native":
+        return _Programs(envs, envs.reset, envs.step)
+    return _Programs(envs, jax.jit(envs.reset), jax.jit(envs.step))
+
+
+class GymnasiumVectorEnv(VectorEnv):
+    """``num_envs`` environments, stepped together.
+
+    An episode that ends begins anew in the same step (``AutoresetMode.SAME_STEP``): the observation is then the first of
+    the next episode, and ``info["final_obs"]`` and ``info["final_info"]`` have the last of the one that ended, where
+    ``info["_final_obs"]`` holds. Other entries of ``info`` are those of ``GymnasiumEnv`` in this step, an array each.
+    Gymnasium's ``NormalizeObservation`` takes only vectors that begin anew in the next step.
+
+    The first episode of an environment with seed s is that of ``GymnasiumEnv.reset(seed=s)``, and so is its course. The
+    episodes after it are others than those of ``GymnasiumEnv``, and decided by the seed as well.
+
+    Args:
+        env_id: as in ``agym_jax.list_envs()``.
+        num_envs: how many.
+        render_mode: ``"rgb_array"``, or None for no pictures.
+        impl: physics, see ``agym_jax.make``; ``"auto"`` is ``"native"`` on a CPU.
+        humans: the population, see ``agym_jax.make``.
+        width: of pictures [pixels].
+        height: of pictures [pixels].
+        camera: name or number of the camera.
+        visuals: of the robot in pictures, see ``agym_jax.rendering.meshes``.
+
+    Raises:
+        UnknownNameError: there is no such id, or there are no such looks.
+        ArgumentError: a number of environments, a population or a size of pictures that makes no sense.
+        RenderModeError: there is no such render mode.
+        ImplementationError: there is no such physics, or it is not installed.
+    """
+
+    metadata = {  # noqa: RUF012
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 10,
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        env_id: str,
+        num_envs: int = 1,
+        render_mode: str | None = None,
+        impl: str = "auto",
+        humans: Population | None = None,
+        width: int = 480,
+        height: int = 360,
+        camera: str | int = "front",
+        visuals: str = "primitives",
+    ):
+        self.num_envs = checked_count("num_envs", num_envs)
+        check_render_mode(env_id, render_mode)
+        check_visuals(visuals, parse(env_id).robot)
+        self._view = (checked_count("width", width), checked_count("height", height), camera)
+        check_camera(camera)
+        refuse_fork()
+        impl = choose_impl(impl, traced=False)
+        self._programs = _programs(env_id, self.num_envs, impl, checked_population(humans))
+        self.render_mode, self._looks = render_mode, visuals
+        env = self.core
+        self.single_action_space = spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
+        self.single_observation_space = spaces.Box(
+            -np.inf, np.inf, (env.observation_size,), np.float32
+        )
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._lengths = lengths_of(env)
+        self._state: Any = None
+
+    @property
+    def core(self) -> agym_jax.Env:
+        """The pure environment underneath."""
+        return self._programs.envs.env
+
+    @property
+    def state(self) -> agym_jax.State:
+        """All environments as they are now (num_envs, ...).
+
+        Raises:
+            gymnasium.error.ResetNeeded: there is none yet.
+        """
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded(f"{self.core.name}: call reset() first.")
+        return self._state
+
+    def reset(  # pyrefly: ignore[bad-override]
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode in every environment.
+
+        Args:
+            seed: of the first environment, the next ones have the numbers after it; or one for each, where None is a
+                random one; or None: random at first, and then what follows from the seed before.
+            options: none are known.
+
+        Raises:
+            ArgumentError: as many seeds as there are no environments.
+            AgymError: there are options.
+        """
+        if options:
+            raise AgymError(f"{self.core.name} knows no reset options, got: {', '.join(options)}.")
+        if isinstance(seed, (int, np.integer)):
+            super().reset(seed=int(seed))
+            seeds: list[int | None] = [int(seed) + i for i in range(self.num_envs)]
+        elif seed is None:
+            seeds = [int(x) for x in self.np_random.integers(2**31, size=self.num_envs)]
+        else:
+            seeds = list(seed)
+            super().reset(seed=next((one for one in seeds if one is not None), None))
+            if len(seeds) != self.num_envs:
+                raise ArgumentError(
+                    f"{self.core.name} in a batch of {self.num_envs} takes one seed or {self.num_envs}, got {len(seeds)}."
+                )
+        keys = [key_of(gymnasium.utils.seeding.np_random(one)[0]) for one in seeds]
+        self._state = self._programs.reset(np.stack(keys))
+        return np.array(self._state.obs), self._info(jax.device_get(self._state.metrics))
+
+    def step(
+        self, actions: Any
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """One control step of 0.1 s of every environment; what ends begins anew.
+
+        Args:
+            actions: in [-1, 1] (num_envs, action_size).
+
+        Raises:
+            ActionError: they have another shape, or NaN or infinite entries.
+            gymnasium.error.ResetNeeded: nothing has begun.
+        """
+        actions = np.asarray(actions, np.float32)
+        if not np.isfinite(actions).all():
+            raise ActionError(f"{self.core.name} takes finite actions, got NaN or infinity.")
+        self._state = s = self._programs.step(self.state, actions)
+        final = s.info["final_observation"]
+        obs, final, reward, done, cut, metrics = jax.device_get(
+            (s.obs, final, s.reward, s.done, s.info["truncation"], s.metrics)
+        )
+        done, truncated = done > 0, cut > 0
+        info = self._info(metrics)
+        if done.any():
+            info = self._after_reset(info, np.asarray(final), done)
+        return np.array(obs), reward.astype(np.float64), done & ~truncated, truncated, info
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """A picture of each environment, uint8 (height, width, 3), or None if made without a render mode."""
+        if self.render_mode is None:
+            return None
+        state = jax.device_get(self.state)
+        return tuple(
+            self._picture(jax.tree.map(lambda x, i=i: x[i], state)) for i in range(self.num_envs)
+        )
+
+    def _picture(self, state: Any) -> np.ndarray:
+        model, data = self.core.to_mujoco(state, self._looks)
+        width, height, camera = self._view
+        with Renderer(model, width, height, camera) as renderer:
+            return renderer.render(data, self.core.markers(state))
+
+    def _info(self, metrics: dict[str, Any]) -> dict[str, Any]:
+        """The infos of all environments, with Gymnasium's masks of who has them."""
+        terms = {k: v for k, v in metrics.items() if k.startswith("reward/")}
+        info = {
+            "total_force_on_human": np.asarray(metrics["force/on_human"], float),
+            "task_success": (metrics["success"] > 0).astype(int),
+            "reward_terms": {
+                k.removeprefix("reward/"): np.asarray(v, float) for k, v in terms.items()
+            },
+            **{name: np.full(self.num_envs, size) for name, size in self._lengths.items()},
+        }
+        return _masked(info, np.ones(self.num_envs, bool))
+
+    def _after_reset(
+        self, info: dict[str, Any], final: np.ndarray, done: np.ndarray
+    ) -> dict[str, Any]:
+        """Infos of a step in which episodes ended, whose infos are the final ones."""
+        last = np.full(self.num_envs, None, object)
+        for i in np.flatnonzero(done):
+            last[i] = final[i].copy()
+        final_info = _masked(_only(info, done), done)
+        return info | {
+            "final_obs": last, "_final_obs": done.copy(),
+            "final_info": final_info, "_final_info": done.copy(),
+        }  # fmt: skip
+
+
+def _only(info: dict[str, Any], where: np.ndarray) -> dict[str, Any]:
+    """Infos without masks, 0 where no episode ended."""
+    return {
+        name: _only(x, where) if isinstance(x, dict) else np.where(where, x, np.zeros_like(x))
+        for name, x in info.items()
+        if not name.startswith("_")
+    }
+
+
+def _masked(info: dict[str, Any], where: np.ndarray) -> dict[str, Any]:
+    """Infos with a mask ``_name`` beside each, as Gymnasium's own vectors have them."""
+    out: dict[str, Any] = {}
+    for name, x in info.items():
+        out[name] = _masked(x, where) if isinstance(x, dict) else x
+        out[f"_{name}"] = where.copy()
+    return out
+
+
+__all__ = ["GymnasiumVectorEnv"]

@@ -60,7 +60,7 @@ class GymnasiumVectorEnv(VectorEnv):
     An episode that ends begins anew in the same step (``AutoresetMode.SAME_STEP``): the observation is then the first of
     the next episode, and ``info["final_obs"]`` and ``info["final_info"]`` have the last of the one that ended, where
     ``info["_final_obs"]`` holds. Other entries of ``info`` are those of ``GymnasiumEnv`` in this step, an array each.
-    Gymnasium's ``NormalizeObservation`` takes only vectors that begin anew in the next step.
+    Gymnasium's wrappers of observations take only vectors that begin anew in the next step.
 
     The first episode of an environment with seed s is that of ``GymnasiumEnv.reset(seed=s)``, and so is its course. The
     episodes after it are others than those of ``GymnasiumEnv``, and decided by the seed as well.

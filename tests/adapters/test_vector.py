@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers.vector import ClipReward, DtypeObservation, RecordEpisodeStatistics
+from gymnasium.wrappers.vector import ClipReward, RecordEpisodeStatistics, RescaleAction
 from paths import ROOT
 
 import agym_jax
@@ -107,11 +107,11 @@ def test_what_ends_begins_anew_in_the_same_step(envs):
 
 @pytest.mark.jit
 def test_other_wrappers_of_gymnasium_take_it(envs):
-    wrapped = ClipReward(DtypeObservation(envs, np.float64), min_reward=0.0)
-    obs, _ = wrapped.reset(seed=0)
-    assert obs.dtype == np.float64 and obs.shape == envs.observation_space.shape
-    obs, rewards, *_ = wrapped.step(envs.action_space.sample())
-    assert obs.dtype == np.float64 and (rewards == 0.0).all()
+    wrapped = ClipReward(RescaleAction(envs, np.float32(-2.0), np.float32(2.0)), min_reward=0.0)
+    wrapped.reset(seed=0)
+    assert (wrapped.action_space.high == 2.0).all()
+    obs, rewards, *_ = wrapped.step(wrapped.action_space.sample())
+    assert obs.shape == envs.observation_space.shape and (rewards == 0.0).all()
 
 
 @pytest.mark.jit

@@ -312,7 +312,7 @@ def never(*_: Any) -> Any:
         (coop, ["--save-dir", ""], ("--save-dir is empty", "--save-dir .")),
         (sweep, ["--grid", "lr=1e-3,1e-4", "--save-dir", ""], ("--save-dir is empty",)),
         (sweep, ["--grid", "lr=1e-3,1e-4", "--num-seeds", "0"], ("--num-seeds", "0")),
-        (sweep, ["--grid", "speed=1,2"], ("'speed'", "gae_lambda")),
+        (sweep, ["--grid", "speed=1,2"], ("'speed'", "entropy_coef")),
         (sweep, ["--grid", "lr=1e-3"], ("at least two settings",)),
         (suite, ["--save-dir", ""], ("--save-dir is empty",)),
         (suite, ["--num-seeds", "0"], ("--num-seeds", "0")),

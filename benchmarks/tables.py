@@ -241,6 +241,25 @@ def brax_ppo(folder: Path = RESULTS) -> str:
     return table(lines, columns, lambda x: (x["env"], order.index(x["trainer"])), note)
 
 
+def in_assistive_gym(folder: Path = RESULTS) -> str:
+    """Success of policies in Assistive Gym itself, beside that here."""
+    here = {x["env"]: x["success"] for x in read_results("evaluation", ("env",), folder)}
+
+    def share(x: Line) -> float:
+        return x["successes"] / x["episodes"]
+
+    columns = {
+        "environment": lambda x: x["env"],
+        "success in Assistive Gym": lambda x: f"{x['successes']} of {x['episodes']}",
+        "success here": lambda x: f"{here[x['env']]:.0%}",
+        "share of it": lambda x: f"{share(x) / here[x['env']]:.0%}",
+    }
+    lines = read_results("in_assistive_gym", ("env",), folder)
+    return table(
+        lines, columns, lambda x: -share(x), "Commits are those that trained the policies;"
+    )
+
+
 TABLES: dict[str, Callable[..., str]] = {
     "success": policy_tables.success,
     "speed": speed,
@@ -259,6 +278,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "reach": reach,
     "pulls": pulls,
     "cpu": cpu,
+    "in-assistive-gym": in_assistive_gym,
 }
 
 

@@ -1,0 +1,192 @@
+"""A policy of agym_jax in Assistive Gym v0.1 itself, on Assistive Gym's own engine.
+
+    python benchmarks/in_assistive_gym.py ScratchItchJaco-v0 assets/policies/ScratchItchJaco-v0.npz --num-episodes 20 --json FILE
+
+Run it with the Python in which Assistive Gym was built (CONTRIBUTING.md says how) and its folder on the Python path; of
+agym_jax it needs this file and the policy alone, and of other packages NumPy. Each episode is one of Assistive Gym's own,
+its result follows from the seed. The policy acts by the mode of its distribution and sees what it would see here: joints that turn
+freely begin in [-pi, pi), quaternions are wxyz and do not jump.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+EPISODE_LENGTH = 200
+QUATS = {"Feeding": (3, 20), "Drinking": (3, 20), "ArmManipulation": (3, 10)}
+"""First columns of the quaternions that robots observe; (3,) in other tasks."""
+ANGLES = {
+    "ScratchItch": 13, "BedBathing": 7, "Feeding": 10, "Drinking": 10, "Dressing": 7,
+    "ArmManipulation": 14,
+}  # fmt: skip
+"""First column of the joint angles that robots observe."""
+FREE = {"jaco": (0, 2, 4, 6), "pr2": (4, 6), "sawyer": (), "baxter": ()}
+"""Joints of an arm that turn freely."""
+NORMALISED_CLIP = 10.0  # deviations
+ROBOTS = ("pr2", "jaco", "baxter", "sawyer")
+Act = Callable[[np.ndarray], np.ndarray]
+
+
+BENDS: dict[str, Act] = {
+    "tanh": np.tanh,
+    "elu": lambda x: np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0))),
+    "relu": lambda x: np.maximum(x, 0.0),
+    "swish": lambda x: x / (1.0 + np.exp(-x)),
+}
+
+
+def load_actor(path: str | Path) -> tuple[Act, dict[str, Any]]:
+    """The mode of a policy's action, in NumPy, and what its file tells of it.
+
+    Args:
+        path: of a policy file of agym_jax.
+    """
+    with np.load(path, allow_pickle=False) as file:
+        arrays = {name: np.asarray(file[name]) for name in file.files}
+    about = json.loads(bytes(arrays["__meta__"]).decode())
+    arch = about["arch"]
+    layers = sorted(n.removesuffix("/kernel") for n in arrays if n.endswith("/kernel"))
+    layers.sort(key=lambda name: "hidden" not in name)
+    weights = [
+        (arrays[f"{name}/kernel"].astype(float), arrays[f"{name}/bias"].astype(float))
+        for name in layers
+    ]
+    mean, std = (arrays[f"observation/{name}"].astype(float) for name in ("mean", "std"))
+    bend, size = BENDS[arch["activation"]], arch["action_size"]
+    squash = np.tanh if arch["distribution"] == "tanh_normal" else np.asarray
+
+    def act(obs: np.ndarray) -> np.ndarray:
+        x = np.clip((obs - mean) / std, -NORMALISED_CLIP, NORMALISED_CLIP)
+        for i, (kernel, bias) in enumerate(weights):
+            x = x @ kernel + bias
+            if i < len(weights) - 1:
+                x = bend(x)
+        return np.clip(squash(x[:size]), -1.0, 1.0)
+
+    return act, about
+
+
+class Translator:
+    """Assistive Gym's observations of one episode as agym_jax shows them.
+
+    Args:
+        task: of the environment.
+        robot: of the environment, in lower case.
+        first: what Assistive Gym shows at the start (n_obs,).
+    """
+
+    def __init__(self, task: str, robot: str, first: np.ndarray) -> None:
+        arms = 2 if task == "ArmManipulation" else 1
+        self.free = [ANGLES[task] + 7 * arm + joint for arm in range(arms) for joint in FREE[robot]]
+        self.quats = QUATS.get(task, (3,))
+        turns = 2.0 * np.pi
+        self.windings = turns * np.floor((first[self.free] + np.pi) / turns)
+        self.last: dict[int, np.ndarray] = {}
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """One observation (n_obs,)."""
+        seen = np.array(obs, float)
+        seen[self.free] -= self.windings
+        for at in self.quats:
+            quat = np.roll(seen[at : at + 4], 1)  # xyzw to wxyz
+            if at in self.last and quat @ self.last[at] < 0.0:
+                quat = -quat
+            seen[at : at + 4] = self.last[at] = quat
+        return seen
+
+
+def make_env(task: str, robot: str) -> Any:
+    """Assistive Gym's environment, its person passive."""
+    module = re.sub(r"(?<!^)(?=[A-Z])", "_", task).lower()
+    loaded = __import__(f"assistive_gym.envs.{module}", fromlist=[task])
+    return getattr(loaded, f"{task}Env")(robot_type=robot, human_control=False)
+
+
+def reset(env: Any, seed: int) -> np.ndarray:
+    """An episode that follows from the seed alone; Assistive Gym seeds parts of itself elsewhere."""
+    random = np.random.RandomState(seed)
+    world = env.world_creation
+    for part in (env, world, env.util, world.human_creation):
+        part.np_random = random
+    return np.asarray(env.reset(), float)
+
+
+def run_episode(env: Any, act: Act, task: str, robot: str, seed: int) -> SimpleNamespace:
+    """One episode.
+
+    Returns:
+        ``success``, ``total`` reward, and the mean and greatest ``forces`` on the person [N].
+    """
+    obs = reset(env, seed)
+    translate, forces, total, info = Translator(task, robot, obs), [], 0.0, {}
+    twice = task == "ArmManipulation" and robot in ("jaco", "sawyer")  # it takes their action twice
+    for _ in range(EPISODE_LENGTH):
+        action = act(translate(obs))
+        obs, reward, _, info = env.step(np.tile(action, 2) if twice else action)
+        total += float(reward)
+        forces.append(float(info["total_force_on_human"]))
+    success = bool(info["task_success"])
+    return SimpleNamespace(success=success, total=total, forces=(np.mean(forces), np.max(forces)))
+
+
+def parse(name: str) -> tuple[str, str]:
+    """Task and robot of an id such as ``ScratchItchJaco-v0``."""
+    found = re.fullmatch(rf"({'|'.join(ANGLES)})({'|'.join(ROBOTS)})-v0", name, re.IGNORECASE)
+    if not found:
+        raise SystemExit(
+            f"{name!r} is not an id of Assistive Gym: a task ({', '.join(ANGLES)}), a robot "
+            f"({', '.join(ROBOTS)}) and -v0, such as ScratchItchJaco-v0."
+        )
+    return next(t for t in ANGLES if t.lower() == found[1].lower()), found[2].lower()
+
+
+def main() -> None:
+    """Run the episodes, with a line for each."""
+    flags = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    flags.add_argument("env_name")
+    flags.add_argument("policy", type=Path)
+    flags.add_argument("--num-episodes", type=int, default=20)
+    flags.add_argument(
+        "--seed", type=int, default=0, help="of the first episode; the next has the next"
+    )
+    flags.add_argument("--json", type=Path, help="file that a line with the result is appended to")
+    given = flags.parse_args()
+    task, robot = parse(given.env_name)
+    act, about = load_actor(given.policy)
+    env, found = make_env(task, robot), []
+    for seed in range(given.seed, given.seed + given.num_episodes):
+        began = time.time()
+        found.append(run_episode(env, act, task, robot, seed))
+        won, last = sum(x.success for x in found), found[-1]
+        print(
+            f"seed {seed}: {'success' if last.success else 'failure'}, return {last.total:.1f}, force up to "
+            f"{last.forces[1]:.1f} N, {time.time() - began:.0f} s; {won} of {len(found)}",
+            flush=True,
+        )
+    if given.json:
+        line = {
+            "kind": "in-assistive-gym", "env": given.env_name, "commit": about.get("commit"),
+            "device": {"kind": "CPU"},
+            "episodes": len(found), "successes": sum(x.success for x in found), "first_seed": given.seed,
+            "return": float(np.mean([x.total for x in found])),
+            "force": float(np.mean([x.forces[0] for x in found])),
+            "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        }  # fmt: skip
+        with given.json.open("a") as file:
+            file.write(json.dumps(line) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,67 @@
+# ruff: noqa: D103
+"""A policy acts in Assistive Gym as it does here. Assistive Gym itself is not needed."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from agym_jax import observe
+from agym_jax.data.assets import asset_path
+from agym_jax.policy.policy import read_policy
+from agym_jax.robots import ROBOTS
+from agym_jax.sim.scene import build_scene
+from agym_jax.tasks import TASKS
+from benchmarks import in_assistive_gym as ag
+
+TURN = 2 * np.pi
+
+
+@pytest.mark.parametrize("name", ["ScratchItchJaco-v0", "BedBathingSawyer-v0"])
+def test_a_policy_acts_as_in_jax(name: str):
+    path = asset_path(f"policies/{name}.npz")
+    act, about = ag.load_actor(path)
+    policy = read_policy(path)
+    noise = np.random.default_rng(0).normal(size=(20, about["arch"]["observation_size"]))
+    obs = (np.asarray(policy.mean) + 3.0 * noise * np.asarray(policy.std)).astype(np.float32)
+    expected = jax.jit(lambda obs: policy(obs))(obs)
+    np.testing.assert_allclose([act(x.astype(float)) for x in obs], expected, atol=1e-4)
+
+
+def test_columns_are_where_the_tasks_have_them():
+    for name, first in ag.ANGLES.items():
+        layout = observe.layout(TASKS[name].robot_obs)
+        assert layout["arm_angles"].start == first
+        quats = [part.start for field, part in layout.items() if field.endswith("quat_w")]
+        assert tuple(quats[: len(ag.QUATS.get(name, (3,)))]) == ag.QUATS.get(name, (3,))
+
+
+def test_free_joints_are_those_of_the_models():
+    for name, robot in ROBOTS.items():
+        scene = build_scene(TASKS["ScratchItch"], robot)
+        low, high = scene.model.jnt_range[scene.index.robot_joint].T
+        free = tuple(np.flatnonzero(high - low > TURN + 3.5).tolist())
+        assert ag.FREE[name.lower()] == free
+
+
+def test_an_observation_is_without_windings_and_jumps():
+    first = np.zeros(30)
+    first[3:7], first[13:20] = (0.0, 0.0, 0.0, 1.0), (4.0, 1.0, -5.0, 1.0, 3.0, 1.0, 7.0)
+    translate = ag.Translator("ScratchItch", "jaco", first)
+    seen = translate(first)
+    np.testing.assert_allclose(seen[3:7], (1.0, 0.0, 0.0, 0.0))
+    np.testing.assert_allclose(seen[13:20], (4 - TURN, 1, TURN - 5, 1, 3, 1, 7 - TURN))
+    later = first.copy()
+    later[3:7], later[17] = (0.0, 0.0, -0.1, -0.995), 3.3
+    seen = translate(later)
+    np.testing.assert_allclose(seen[3:7], (0.995, 0.0, 0.0, 0.1))
+    assert seen[17] == 3.3  # turned on, not back by a turn
+
+
+def test_an_id_that_assistive_gym_has_not_is_refused():
+    assert ag.parse("ArmManipulationPR2-v0") == ("ArmManipulation", "pr2")
+    with pytest.raises(
+        SystemExit, match=r"'ReachingJaco-v0' is not an id of Assistive Gym.*Dressing"
+    ):
+        ag.parse("ReachingJaco-v0")

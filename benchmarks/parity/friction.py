@@ -22,7 +22,7 @@ from benchmarks.parity.row import Row, traces
 BED = {"BedBathing": 5.0, "ArmManipulation": 0.3}  # ag_traces, facts: the bed cannot be queried
 NAMES = {"tool": "tool", "robot": "robot", "human": "person"}
 DIRECTIONS, SPEED, LOAD, SLIDE = 32, 0.1, 5.0, 50  # of sliding; [m/s], [N], physics steps
-MATERIALS = {"robot": ("robot",), "human": ("person",), "tool": ("tool", "spoon", "cup", "robot"), "seat": ("wheelchair",), "self": ("person",)}  # fmt: skip
+MATERIALS = {"robot": ("robot",), "human": ("person",), "tool": ("tool", "spoon", "cup", "robot"), "seat": ("wheelchair",), "self": ("person",), "mount": ("nightstand",)}  # fmt: skip
 """Recorded bodies that our kinds of geoms stand for; the scooper is part of the robot."""
 
 
@@ -42,7 +42,9 @@ def pairs() -> dict[str, tuple[float, list[float]]]:
         for kind, names in contact_pairs(task, robot, scene.moving).items():
             one, other = kind.replace("/", "_").replace("tool2", "tool").split("_")
             seat = f"mattress in {task.name}" if task.name in BED else "wheelchair"
-            what = {"human": "person", "self": "himself", "seat": seat}[other]
+            what = {"seat": seat, "self": "himself", "mount": "nightstand"}.get(
+                other, NAMES.get(other)
+            )
             ag = np.prod([BED.get(task.name, recorded("seat")) if x == "seat" else recorded(x) for x in (one, other)])  # fmt: skip
             _, ours = found.setdefault(f"{NAMES[one]} on {what}", (float(ag), []))
             for model in (scene.model, scene.female):

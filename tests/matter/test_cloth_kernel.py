@@ -98,6 +98,7 @@ def test_physics_step_is_one_kernel_on_a_gpu():
     assert lowered.as_text().count("__gpu$xla.gpu.triton") == 1
 
 
+@pytest.mark.slow
 def test_derivatives_equal_finite_differences():
     spec = small()
     cloth, start, end, held = jax.tree.map(lambda x: x[0], batch(spec))

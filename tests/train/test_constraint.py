@@ -172,6 +172,7 @@ def test_stepwise_environments_learn_the_same():
         assert row["multiplier"] == pytest.approx(other["multiplier"], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_robot_and_person_learn_under_one_limit():
     config = CoopConfig(**SETTINGS | {"num_env_steps": 320 * 40}, cost_limit=LIMIT)
     result = coop.train(FakePairPressEnv(), config)
@@ -204,6 +205,7 @@ def test_a_run_goes_on_with_another_limit_but_not_with_none(tmp_path):
     assert "cost " in said[-1] and "multiplier " in said[-1] and "gentle " in said[-1]
 
 
+@pytest.mark.slow
 def test_a_sweep_of_limits_shows_what_gentleness_costs():
     settings = parse_grid(["cost_limit=0.5,1e6"])
     result = sweep(FakePressEnv(), PPOConfig(**SETTINGS), settings, 2)

@@ -76,6 +76,7 @@ def test_seeds_can_be_ranked_by_gentle_success():
     assert "gentle  75.0%" in SeedScores(results).table()
 
 
+@pytest.mark.slow
 def test_a_run_with_a_cost_limit_is_chosen_by_gentle_success(tmp_path, capsys):
     limited = dataclasses.replace(SHORT, save_dir=str(tmp_path), cost_limit=1.0)
     run = str(train(FakePressEnv(), limited).folder)

@@ -57,6 +57,7 @@ def test_settings_of_a_grid():
         parse_grid(["lr=1"])
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_ranking(tmp_path, capsys):
     words = f"--env-name FakeReach-v0 --grid lr=1e-4,1e-3 --num-seeds 2 --num-envs 4 --num-env-steps 640 --save-dir {tmp_path}"
     assert main(words.split(), lambda name, impl: FakeEnv(name=name)) == 0

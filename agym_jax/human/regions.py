@@ -2,7 +2,7 @@
 
 Two kinds of limits, for each region: what industrial robots must not exceed, because it begins to hurt
 (``Region.quasi_static``, ``Region.transient``), and what is comfortable in care (``Region.comfort``), which a task may
-set for itself (``Comfortable``). An episode is a *gentle* success if it is a success and no step of it was above
+set for itself (``spec.Comfortable``). An episode is a *gentle* success if it is a success and no step of it was above
 the comfort limit.
 
 What counts: normal forces of all contacts of the robot and its tools with the person, summed over each region, left and
@@ -17,7 +17,7 @@ limit of quasi-static contact, which ISO asks for after 0.5 s only: here every 0
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ from jax import Array
 
 from agym_jax.errors import SpecError, UnknownNameError
 from agym_jax.human.body import SHAPES
+from agym_jax.spec import Comfortable
 
 
 class Region(NamedTuple):
@@ -76,16 +77,6 @@ REGION_OF: dict[str, int] = {
     if shape.removeprefix("left_").removeprefix("right_") in region.shapes
 }
 """Shape of the body -> row in ``REGIONS``."""
-
-
-@runtime_checkable
-class Comfortable(Protocol):
-    """What a task has besides if other forces than ``Region.comfort`` are comfortable in it."""
-
-    @property
-    def comfort(self) -> tuple[tuple[str, float], ...]:
-        """Names of regions and their comfort limits [N]; those that are left out have the region's own."""
-        ...
 
 
 @jax.tree_util.register_dataclass

@@ -16,7 +16,7 @@ from agym_jax.sense import Motion
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.scene import Scene
 from agym_jax.sim.sensing import ContactSums
-from agym_jax.spec import Task
+from agym_jax.spec import BatchedOnCpu, Task
 from agym_jax.state import Episode
 
 IMPLEMENTATIONS = ("auto", "jax", "warp", "native")
@@ -110,7 +110,7 @@ def build_physics(
     if impl == "native":
         from agym_jax.sim.c_mujoco import ROWS, NativePhysics
 
-        rows = getattr(task, "cpu_rows", ROWS)
+        rows = task.cpu_rows if isinstance(task, BatchedOnCpu) else ROWS
         return NativePhysics(scene, controller, task.control.frame_skip, rows)
     from agym_jax.sim.mjx import MjxPhysics
 

@@ -13,80 +13,31 @@ observations exceed.
 
 from __future__ import annotations
 
-import os
 from functools import cache
 from typing import Any, NamedTuple
 
 import gymnasium
 import jax
 import numpy as np
-from gymnasium import spaces
 
 import agym_jax
-from agym_jax.errors import ActionError, AgymError, checked_count, did_you_mean
+from agym_jax.adapters.common import (
+    RENDER_MODES,
+    ForkedProcessError,
+    RenderModeError,
+    View,
+    begun,
+    checked_actions,
+    info_of,
+    key_of,
+    lengths_of,
+    refuse_fork,
+    refuse_options,
+    spaces_of,
+)
 from agym_jax.human.population import Population, checked_population
-from agym_jax.registry import parse
-from agym_jax.rendering.meshes import check_visuals
 from agym_jax.rendering.render import Renderer
 from agym_jax.sim.physics import choose_impl
-from agym_jax.sim.pictures import check_camera
-
-RENDER_MODES = ("rgb_array",)
-
-
-class RenderModeError(AgymError, ValueError):
-    """A way to render that the environment does not have, or was not made with."""
-
-
-class ForkedProcessError(AgymError, RuntimeError):
-    """An environment in a copy of a process whose JAX has begun to compute; it would wait for ever."""
-
-
-class _Process:
-    """Where environments have been made."""
-
-    pid: int | None = None
-
-
-def refuse_fork() -> None:
-    """Raise in a process that was forked from one that has made an environment.
-
-    Raises:
-        ForkedProcessError: says what to use instead.
-    """
-    if _Process.pid not in (None, os.getpid()):
-        raise ForkedProcessError(
-            "JAX does not work in a forked process, as those of gymnasium.make_vec(id, vectorization_mode='async') are. Use "
-            "gymnasium.make_vec(id, num_envs=64), which steps all environments together in threads and is faster; or new "
-            "processes: make_vec(id, vectorization_mode='async', vector_kwargs={'context': 'spawn'})."
-        )
-    _Process.pid = os.getpid()
-
-
-def check_render_mode(env_id: str, render_mode: str | None) -> None:
-    """Refuse a render mode that does not exist.
-
-    Raises:
-        RenderModeError: the message has the nearest.
-    """
-    if render_mode is not None and render_mode not in RENDER_MODES:
-        raise RenderModeError(
-            f"{env_id} has no render mode {render_mode!r}. {did_you_mean(render_mode, RENDER_MODES)}"
-        )
-
-
-def key_of(generator: np.random.Generator) -> np.ndarray:
-    """The raw PRNG key of an episode, drawn from an environment's generator (2,)."""
-    return np.asarray(jax.random.PRNGKey(int(generator.integers(2**31))))
-
-
-def lengths_of(env: agym_jax.Env) -> dict[str, int]:
-    """How many entries of observation and action are whose, as in Assistive Gym's ``info``."""
-    return {
-        f"{kind}_{agent}_len": sizes.get(agent, 0)
-        for kind, sizes in (("obs", env.observation_sizes), ("action", env.action_sizes))
-        for agent in ("robot", "human")
-    }
 
 
 class _Programs(NamedTuple):
@@ -146,21 +97,14 @@ class GymnasiumEnv(gymnasium.Env):
         camera: str | int = "front",
         visuals: str = "primitives",
     ):
-        check_render_mode(env_id, render_mode)
-        check_visuals(visuals, parse(env_id).robot)
-        checked_count("width", width)
-        checked_count("height", height)
-        check_camera(camera)
+        self._view = View.checked(env_id, render_mode, width, height, camera, visuals)
         humans = checked_population(humans)
         refuse_fork()
         self._made_of = (env_id, choose_impl(impl, traced=False), humans)
         self._programs = _programs(*self._made_of)
-        self._looks = visuals
         self.render_mode = render_mode
-        self._view = (width, height, camera)
         env = self._programs.env
-        self.action_space = spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
-        self.observation_space = spaces.Box(-np.inf, np.inf, (env.observation_size,), np.float32)
+        self.action_space, self.observation_space = spaces_of(env)
         self._lengths = lengths_of(env)
         self._state: Any = None
         self._over = True
@@ -187,9 +131,7 @@ class GymnasiumEnv(gymnasium.Env):
         Raises:
             gymnasium.error.ResetNeeded: there is none yet.
         """
-        if self._state is None:
-            raise gymnasium.error.ResetNeeded(f"{self.core.name} has no state before reset().")
-        return self._state
+        return begun(self.core, self._state)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -201,8 +143,7 @@ class GymnasiumEnv(gymnasium.Env):
             options: none are known.
         """
         super().reset(seed=seed)
-        if options:
-            raise AgymError(f"{self.core.name} knows no reset options, got: {', '.join(options)}.")
+        refuse_options(self.core, options)
         self._state = self._programs.reset(key_of(self.np_random))
         self._over = False
         self._forget_pictures()  # they show the person before
@@ -218,7 +159,7 @@ class GymnasiumEnv(gymnasium.Env):
             ActionError: the action has another shape, or NaN or infinite entries.
             gymnasium.error.ResetNeeded: the episode has not begun, or is over.
         """
-        action = self._checked(action)
+        action = checked_actions(self.core, action, self.action_space.shape)
         if self._over:
             raise gymnasium.error.ResetNeeded(
                 f"{self.core.name}: call reset() to begin an episode."
@@ -241,9 +182,7 @@ class GymnasiumEnv(gymnasium.Env):
             return None
         state = jax.device_get(self.state)
         if self._pictures is None:
-            model, data = self.core.to_mujoco(state, self._looks)
-            width, height, camera = self._view
-            self._pictures = Renderer(model, width, height, camera), model, data
+            self._pictures = self._view.renderer(self.core, state)
         renderer, model, data = self._pictures
         self.core.write_mujoco(state, data, model)
         return renderer.render(data, self.core.markers(state))
@@ -257,30 +196,8 @@ class GymnasiumEnv(gymnasium.Env):
             self._pictures[0].close()
             self._pictures = None
 
-    def _checked(self, action: Any) -> np.ndarray:
-        shape = self.action_space.shape
-        array = np.asarray(action, np.float32)
-        if array.shape != shape:
-            raise ActionError(
-                f"{self.core.name} takes actions of shape {shape}, got {array.shape}."
-            )
-        if not np.isfinite(array).all():
-            raise ActionError(
-                f"{self.core.name} takes finite actions of shape {shape}, got NaN or infinity: {array}."
-            )
-        return array
-
     def _info(self, metrics: dict[str, np.ndarray]) -> dict[str, Any]:
-        return {
-            "total_force_on_human": float(metrics["force/on_human"]),
-            "task_success": int(metrics["success"] > 0),
-            "reward_terms": {
-                name.removeprefix("reward/"): float(value)
-                for name, value in metrics.items()
-                if name.startswith("reward/")
-            },
-            **self._lengths,
-        }
+        return info_of(metrics, self._lengths, float, int)
 
 
 def register_envs() -> None:

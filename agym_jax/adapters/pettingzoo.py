@@ -18,7 +18,8 @@ from gymnasium.error import ResetNeeded
 from pettingzoo import ParallelEnv
 
 import agym_jax
-from agym_jax.adapters.gymnasium import RENDER_MODES, GymnasiumEnv
+from agym_jax.adapters.common import RENDER_MODES
+from agym_jax.adapters.gymnasium import GymnasiumEnv
 from agym_jax.errors import ActionError, SpecError
 from agym_jax.registry import parse
 

@@ -16,25 +16,25 @@ from typing import Any, NamedTuple
 import gymnasium
 import jax
 import numpy as np
-from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 import agym_jax
-from agym_jax.adapters.gymnasium import (
+from agym_jax.adapters.common import (
     RENDER_MODES,
-    check_render_mode,
+    View,
+    begun,
+    checked_actions,
+    info_of,
     key_of,
     lengths_of,
     refuse_fork,
+    refuse_options,
+    spaces_of,
 )
-from agym_jax.errors import ActionError, AgymError, ArgumentError, checked_count
+from agym_jax.errors import ArgumentError, checked_count
 from agym_jax.human.population import Population, checked_population
-from agym_jax.registry import parse
-from agym_jax.rendering.meshes import check_visuals
-from agym_jax.rendering.render import Renderer
 from agym_jax.sim.physics import choose_impl
-from agym_jax.sim.pictures import check_camera
 from agym_jax.wrappers import vectorize
 
 
@@ -62,8 +62,8 @@ class GymnasiumVectorEnv(VectorEnv):
     ``info["_final_obs"]`` holds. Other entries of ``info`` are those of ``GymnasiumEnv`` in this step, an array each.
     Gymnasium's wrappers of observations take only vectors that begin anew in the next step.
 
-    The first episode of an environment with seed s is that of ``GymnasiumEnv.reset(seed=s)``, and so is its course. The
-    episodes after it are others than those of ``GymnasiumEnv``, and decided by the seed as well.
+    The first episode of an environment with seed s is that of ``GymnasiumEnv.reset(seed=s)``, and so is its course (bit by bit
+    with C MuJoCo, but for Feeding, Drinking and Dressing, which one environment computes in another order). The episodes after it are others than those of ``GymnasiumEnv``, and decided by the seed as well.
 
     Args:
         env_id: as in ``agym_jax.list_envs()``.
@@ -102,19 +102,13 @@ class GymnasiumVectorEnv(VectorEnv):
         visuals: str = "primitives",
     ):
         self.num_envs = checked_count("num_envs", num_envs)
-        check_render_mode(env_id, render_mode)
-        check_visuals(visuals, parse(env_id).robot)
-        self._view = (checked_count("width", width), checked_count("height", height), camera)
-        check_camera(camera)
+        self._view = View.checked(env_id, render_mode, width, height, camera, visuals)
         refuse_fork()
         impl = choose_impl(impl, traced=False)
         self._programs = _programs(env_id, self.num_envs, impl, checked_population(humans))
-        self.render_mode, self._looks = render_mode, visuals
+        self.render_mode = render_mode
         env = self.core
-        self.single_action_space = spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
-        self.single_observation_space = spaces.Box(
-            -np.inf, np.inf, (env.observation_size,), np.float32
-        )
+        self.single_action_space, self.single_observation_space = spaces_of(env)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._lengths = lengths_of(env)
@@ -132,9 +126,7 @@ class GymnasiumVectorEnv(VectorEnv):
         Raises:
             gymnasium.error.ResetNeeded: there is none yet.
         """
-        if self._state is None:
-            raise gymnasium.error.ResetNeeded(f"{self.core.name}: call reset() first.")
-        return self._state
+        return begun(self.core, self._state)
 
     def reset(  # pyrefly: ignore[bad-override]
         self,
@@ -153,8 +145,7 @@ class GymnasiumVectorEnv(VectorEnv):
             ArgumentError: as many seeds as there are no environments.
             AgymError: there are options.
         """
-        if options:
-            raise AgymError(f"{self.core.name} knows no reset options, got: {', '.join(options)}.")
+        refuse_options(self.core, options)
         if isinstance(seed, (int, np.integer)):
             super().reset(seed=int(seed))
             seeds: list[int | None] = [int(seed) + i for i in range(self.num_envs)]
@@ -162,11 +153,11 @@ class GymnasiumVectorEnv(VectorEnv):
             seeds = [int(x) for x in self.np_random.integers(2**31, size=self.num_envs)]
         else:
             seeds = list(seed)
-            super().reset(seed=next((one for one in seeds if one is not None), None))
             if len(seeds) != self.num_envs:
                 raise ArgumentError(
                     f"{self.core.name} in a batch of {self.num_envs} takes one seed or {self.num_envs}, got {len(seeds)}."
                 )
+            super().reset(seed=next((one for one in seeds if one is not None), None))
         keys = [key_of(gymnasium.utils.seeding.np_random(one)[0]) for one in seeds]
         self._state = self._programs.reset(np.stack(keys))
         return np.array(self._state.obs), self._info(jax.device_get(self._state.metrics))
@@ -183,9 +174,7 @@ class GymnasiumVectorEnv(VectorEnv):
             ActionError: they have another shape, or NaN or infinite entries.
             gymnasium.error.ResetNeeded: nothing has begun.
         """
-        actions = np.asarray(actions, np.float32)
-        if not np.isfinite(actions).all():
-            raise ActionError(f"{self.core.name} takes finite actions, got NaN or infinity.")
+        actions = checked_actions(self.core, actions, self.action_space.shape)
         self._state = s = self._programs.step(self.state, actions)
         final = s.info["final_observation"]
         obs, final, reward, done, cut, metrics = jax.device_get(
@@ -207,22 +196,15 @@ class GymnasiumVectorEnv(VectorEnv):
         )
 
     def _picture(self, state: Any) -> np.ndarray:
-        model, data = self.core.to_mujoco(state, self._looks)
-        width, height, camera = self._view
-        with Renderer(model, width, height, camera) as renderer:
+        renderer, _, data = self._view.renderer(self.core, state)
+        with renderer:
             return renderer.render(data, self.core.markers(state))
 
     def _info(self, metrics: dict[str, Any]) -> dict[str, Any]:
         """The infos of all environments, with Gymnasium's masks of who has them."""
-        terms = {k: v for k, v in metrics.items() if k.startswith("reward/")}
-        info = {
-            "total_force_on_human": np.asarray(metrics["force/on_human"], float),
-            "task_success": (metrics["success"] > 0).astype(int),
-            "reward_terms": {
-                k.removeprefix("reward/"): np.asarray(v, float) for k, v in terms.items()
-            },
-            **{name: np.full(self.num_envs, size) for name, size in self._lengths.items()},
-        }
+        none = np.zeros(self.num_envs, int)
+        real = lambda x: np.asarray(x, float)  # noqa: E731
+        info = info_of(metrics, self._lengths, real, lambda x: none + x)
         return _masked(info, np.ones(self.num_envs, bool))
 
     def _after_reset(

@@ -1,0 +1,171 @@
+"""What ``gymnasium.Env`` and ``gymnasium.vector.VectorEnv`` have in common: checks, spaces, pictures, infos."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import gymnasium
+import jax
+import mujoco
+import numpy as np
+from gymnasium import spaces
+
+import agym_jax
+from agym_jax.errors import ActionError, AgymError, checked_count, did_you_mean
+from agym_jax.registry import parse
+from agym_jax.rendering.meshes import check_visuals
+from agym_jax.rendering.render import Renderer
+from agym_jax.sim.pictures import check_camera
+
+RENDER_MODES = ("rgb_array",)
+
+
+class RenderModeError(AgymError, ValueError):
+    """A way to render that the environment does not have, or was not made with."""
+
+
+class ForkedProcessError(AgymError, RuntimeError):
+    """An environment in a copy of a process whose JAX has begun to compute; it would wait for ever."""
+
+
+class _Process:
+    """Where environments have been made."""
+
+    pid: int | None = None
+
+
+def refuse_fork() -> None:
+    """Raise in a process that was forked from one that has made an environment.
+
+    Raises:
+        ForkedProcessError: says what to use instead.
+    """
+    if _Process.pid not in (None, os.getpid()):
+        raise ForkedProcessError(
+            "JAX does not work in a forked process, as those of gymnasium.make_vec(id, vectorization_mode='async') are. Use "
+            "gymnasium.make_vec(id, num_envs=64), which steps all environments together in threads and is faster; or new "
+            "processes: make_vec(id, vectorization_mode='async', vector_kwargs={'context': 'spawn'})."
+        )
+    _Process.pid = os.getpid()
+
+
+def key_of(generator: np.random.Generator) -> np.ndarray:
+    """The raw PRNG key of an episode, drawn from an environment's generator (2,)."""
+    return np.asarray(jax.random.PRNGKey(int(generator.integers(2**31))))
+
+
+def lengths_of(env: agym_jax.Env) -> dict[str, int]:
+    """How many entries of observation and action are whose, as in Assistive Gym's ``info``."""
+    return {
+        f"{kind}_{agent}_len": sizes.get(agent, 0)
+        for kind, sizes in (("obs", env.observation_sizes), ("action", env.action_sizes))
+        for agent in ("robot", "human")
+    }
+
+
+def info_of(
+    metrics: dict[str, Any],
+    lengths: dict[str, int],
+    real: Callable[[Any], Any],
+    count: Callable[[Any], Any],
+) -> dict[str, Any]:
+    """Assistive Gym's ``info``, and the reward's terms.
+
+    Args:
+        metrics: of a state, of one environment or of several.
+        lengths: from ``lengths_of``.
+        real: what is made of a number.
+        count: what is made of a whole number.
+    """
+    terms = {
+        k.removeprefix("reward/"): real(v) for k, v in metrics.items() if k.startswith("reward/")
+    }
+    return {
+        "total_force_on_human": real(metrics["force/on_human"]),
+        "task_success": count(metrics["success"] > 0),
+        "reward_terms": terms,
+        **{name: count(size) for name, size in lengths.items()},
+    }
+
+
+def spaces_of(env: agym_jax.Env) -> tuple[spaces.Box, spaces.Box]:
+    """Of one environment's actions and observations."""
+    actions = spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
+    return actions, spaces.Box(-np.inf, np.inf, (env.observation_size,), np.float32)
+
+
+def checked_actions(env: agym_jax.Env, actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
+    """Actions as float32.
+
+    Raises:
+        ActionError: they have another shape, or NaN or infinite entries.
+    """
+    array = np.asarray(actions, np.float32)
+    if array.shape != shape:
+        raise ActionError(f"{env.name} takes actions of shape {shape}, got {array.shape}.")
+    if not np.isfinite(array).all():
+        raise ActionError(
+            f"{env.name} takes finite actions of shape {shape}, got NaN or infinity: {array}."
+        )
+    return array
+
+
+def begun(env: agym_jax.Env, state: Any) -> Any:
+    """A state, if there is one.
+
+    Raises:
+        gymnasium.error.ResetNeeded: there is none yet.
+    """
+    if state is None:
+        raise gymnasium.error.ResetNeeded(f"{env.name} has no state before reset().")
+    return state
+
+
+def refuse_options(env: agym_jax.Env, options: dict[str, Any] | None) -> None:
+    """Raise AgymError if there are any options of a reset."""
+    if options:
+        raise AgymError(f"{env.name} knows no reset options, got: {', '.join(options)}.")
+
+
+class View(NamedTuple):
+    """How pictures are made."""
+
+    width: int  # [pixels]
+    height: int  # [pixels]
+    camera: str | int
+    visuals: str  # of the robot, see ``agym_jax.rendering.meshes``
+
+    @classmethod
+    def checked(
+        cls,
+        env_id: str,
+        render_mode: str | None,
+        width: int,
+        height: int,
+        camera: str | int,
+        visuals: str,
+    ) -> View:
+        """A view of an environment.
+
+        Raises:
+            RenderModeError: there is no such render mode; the message has the nearest.
+            UnknownNameError: there is no such environment, or there are no such visuals.
+            ArgumentError: pictures without pixels.
+            UnknownCameraError: there is no such camera.
+        """
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise RenderModeError(
+                f"{env_id} has no render mode {render_mode!r}. {did_you_mean(render_mode, RENDER_MODES)}"
+            )
+        check_visuals(visuals, parse(env_id).robot)
+        check_camera(camera)
+        return cls(checked_count("width", width), checked_count("height", height), camera, visuals)
+
+    def renderer(
+        self, env: agym_jax.Env, state: Any
+    ) -> tuple[Renderer, mujoco.MjModel, mujoco.MjData]:
+        """What draws the episode of a state, on the host, and the scene that it draws."""
+        model, data = env.to_mujoco(state, self.visuals)
+        return Renderer(model, self.width, self.height, self.camera), model, data

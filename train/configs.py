@@ -16,10 +16,12 @@ from typing import Annotated, Any, Literal, TypeVar
 import tyro
 
 from .errors import ConfigError, check_save_dir
+from .task_changes import TASK_CHANGES
 
 POSITIVE = ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling")
 NOT_NEGATIVE = (
     "value_loss_coef", "entropy_coef", "policy_head_gain",
+    "noise_floor", "noise_end",
     "cost_limit", "cost_proportional", "cost_integral", "cost_derivative", "cost_multiplier_max",
 )  # fmt: skip
 SHARES = ("gamma", "gae_lambda", "entropy_decay_share", "cost_tighten_from", "cost_tighten_until")
@@ -153,6 +155,12 @@ class LearnConfig:
     clipped to [-1, 1] with a deviation of its own ("normal", as in Assistive Gym)."""
     init_noise_std: float = 1.0
     """Initial deviation of "normal"."""
+    noise_floor: float = 0.0
+    """Least deviation of "normal" in the first half of the run, then falling to zero: noise must last until a success
+    that is rare is found."""
+    noise_end: float = 0.0
+    """Largest deviation of "normal" at the end; 0 = any. The bound falls from init_noise_std between 40 and 80 % of the
+    run, so that the mean learns to do what noise did."""
     policy_head_gain: float = 0.01
     """Gain of the initial weights of the policy's last layer (Assistive Gym: 1)."""
 
@@ -183,6 +191,11 @@ class LearnConfig:
                 raise ConfigError(
                     f"{name} must be the sizes of at least one layer, each at least 1, such as --{name.replace('_', '-')} "
                     f"64 64; got {' '.join(map(str, sizes)) or 'none'}."
+                )
+        for name in ("noise_floor", "noise_end"):
+            if getattr(self, name) and self.distribution != "normal":
+                raise ConfigError(
+                    f"{name} bounds the deviation of --distribution normal; {self.distribution} has none of its own."
                 )
         check_save_dir(self.save_dir)
         for name in SHARES:
@@ -244,47 +257,6 @@ class CoopConfig(LearnConfig):
 
 
 Config = TypeVar("Config", PPOConfig, CoopConfig)
-
-# Short strokes want a short horizon; wide exploration finds them; a sampled action keeps moving.
-_TOUCH: dict[str, Any] = {
-    "ppo_epoch": 6,
-    "num_mini_batch": 32,
-    "lr": 7e-4,
-    "gamma": 0.95,
-    "gae_lambda": 0.9,
-    "distribution": "normal",
-    "policy_hidden": (256, 128),
-    "value_hidden": (256, 256),
-    "activation": "elu",
-}
-
-# Spoon, cup and gown travel slowly: a reward is many steps away.
-_SLOW: dict[str, Any] = _TOUCH | {"lr": 5e-4, "gamma": 0.99, "gae_lambda": 0.95}
-
-# Every place of an itch, and every tilt of a head, wants another motion.
-_LARGE: dict[str, Any] = {"policy_hidden": (512, 256, 128), "value_hidden": (512, 512)}
-
-_STROKES: dict[str, Any] = _TOUCH | {"ppo_epoch": 8, "num_mini_batch": 16}
-_MANY_STROKES: dict[str, Any] = (
-    _STROKES | _LARGE | {"gamma": 0.98, "gae_lambda": 0.95, "entropy_coef": 0.004}
-)
-
-# What a task changes of the base, measured on a GPU. Keys are the beginnings of environment ids.
-TASK_CHANGES: dict[str, dict[str, Any]] = {
-    "ScratchItch": _MANY_STROKES,
-    "ScratchItchBaxter": _MANY_STROKES | {"entropy_coef": 0.006},
-    "ScratchItchJaco": _MANY_STROKES | {"entropy_decay_share": 1.0},
-    "BedBathing": _TOUCH,
-    "Feeding": _SLOW,
-    # with wide exploration the water is spilled, and not pouring is learned first
-    "Drinking": _SLOW
-    | _LARGE
-    | {"init_noise_std": 0.5, "entropy_coef": 0.003, "entropy_decay_share": 0.4},
-    "Dressing": _SLOW,
-    # without the entropy bonus the tool learns to press on the arm instead of getting beneath it
-    "ArmManipulation": _TOUCH | {"gamma": 0.995, "gae_lambda": 0.95, "entropy_coef": 0.01},
-    "Reaching": _TOUCH | {"lr": 3e-4},
-}
 
 NUM_ENVS = {"cpu": 64, "gpu": 1024, "tpu": 1024}
 """Environments by kind of device."""

@@ -34,6 +34,7 @@ OTHERS = {
     "max_grad_norm": 1e-3,
     "eps": 1e-2,
     "reward_scaling": 0.01,
+    "noise_floor": 2.0,
 }
 STEPS = 400  # of the run, of which a few are made
 

@@ -36,6 +36,7 @@ from .constraint import (
     learn_constraint,
     penalised,
 )
+from .noise import NoiseBounds
 from .rollout import Batch
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
@@ -64,6 +65,7 @@ class Hyper:
     clip_value_loss: Any  # 1: clip the change of the value prediction too
     recompute_advantages: Any  # 1: before every pass over the data, with the values of then
     learns: Any  # 0: one of several trainings that has been stopped
+    noise: NoiseBounds
     constraint: ConstraintHyper | None = None  # None without a cost limit
 
     @classmethod
@@ -96,7 +98,8 @@ class Hyper:
             "learns": 1.0,
         }
         numbers = {name: np.float32(value) for name, value in values.items()}
-        return cls(**numbers, constraint=ConstraintHyper.of(config, episode_length))
+        constraint = ConstraintHyper.of(config, episode_length)
+        return cls(**numbers, noise=NoiseBounds.of(config), constraint=constraint)
 
 
 @jax.tree_util.register_dataclass
@@ -338,9 +341,10 @@ def learn(
         update = partial(running_statistics.update, std_min_value=STD_MIN, pmap_axis_name=axis)
         normalizer = update(normalizer, batch.obs)
         critic_normalizer = critic_normalizer and update(critic_normalizer, batch.critic_obs)
+    done = progress + jnp.float32(batch_steps(batch, axis)) / hyper.total_steps
     agent = replace(
         agent,
-        params=params,
+        params=params.replace(policy=hyper.noise.keep(params.policy, done)),
         optimizer=state,
         normalizer=normalizer,
         returns=returns,

@@ -31,6 +31,7 @@ COMMANDS = {
     "crossplay": (f"{TRAINER}.crossplay", "measure every robot's policy with every person's"),
     "select": (f"{TRAINER}.select", "choose the seed of a run to use, over people of its own"),
     "compare": (f"{TRAINER}.compare", "tell whether one setting is better than another, over seeds"),
+    "export": ("agym_jax.policy.export", "write a policy as ONNX, to run it anywhere"),
     "sweep": (f"{TRAINER}.sweep", "compare hyper-parameters, several seeds each, in one program"),
     "suite": (f"{TRAINER}.suite", "train and choose policies of many environments"),
     "placements": ("agym_jax.offline.placements", "build start placements of ids, or report on them"),

@@ -1,0 +1,105 @@
+"""What a policy reads and moves, in words and numbers: for whoever runs it outside of agym_jax."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+import agym_jax
+from agym_jax import observe
+from agym_jax.human.body import joint_limits
+from agym_jax.policy.networks import OBSERVATION_CLIP
+
+FORMAT = "agym_jax policy 1"
+CONVENTIONS = {
+    "world": "z up; one frame for scene, robot and person",
+    "world axes, from X": "the difference of two positions in the world, seen along the world's axes",
+    "quaternions": "w, x, y, z. At the start of an episode w > 0 where w * w > 1/4, and elsewhere the greatest of x, y, z is "
+    "positive; from then on the sign that is nearer to the one before, so that none jumps",
+    "joint angles": "arm_angles and human_angles are in the order of the action's entries; joints that turn freely begin in "
+    "[-pi, pi) and count on from there",
+    "forces": "means over the last control step; 0 at the start of an episode",
+}
+
+
+def contract(env: Any, agent: str, info: Mapping[str, Any]) -> dict[str, str]:
+    """Name -> text (JSON where it is not a word or a number) of all that inputs and outputs mean.
+
+    Args:
+        env: an ``AssistiveEnv``.
+        agent: who acts: "robot", "human", or "joint" for both.
+        info: of the policy, see ``Policy``.
+    """
+    agents = ("robot", "human") if agent == "joint" and env.active else (agent,)
+    told = {
+        "format": FORMAT,
+        "env": env.name,
+        "agent": agent,
+        "control_period_s": f"{env.dt:g}",
+        "control_rate_hz": f"{1 / env.dt:g}",
+        "observation": observation_entries(env, agents),
+        "observation_use": "raw values; the graph subtracts means, divides by deviations and clips to "
+        f"[-{OBSERVATION_CLIP:g}, {OBSERVATION_CLIP:g}]",
+        "action": action_entries(env, agents),
+        "action_meaning": {name: _meaning(env, name) for name in agents},
+        "conventions": CONVENTIONS,
+        "trained": {name: x for name, x in info.items() if name != "agent"},
+        "agym_jax": agym_jax.__version__,
+    }
+    return {name: x if isinstance(x, str) else json.dumps(x) for name, x in told.items()}
+
+
+def observation_entries(env: Any, agents: tuple[str, ...]) -> list[dict[str, Any]]:
+    """What the columns of the observation are, in order: name, first column and the one after the last, unit, frame."""
+    entries, start = [], 0
+    for agent in agents:
+        record = env.task.robot_obs if agent == "robot" else env.task.human_obs
+        for name, column in observe.columns(record).items():
+            stop = start + column.size
+            entries.append(
+                {"name": name, "agent": agent, "start": start, "stop": stop, "unit": column.unit, "frame": column.frame}
+            )  # fmt: skip
+            start = stop
+    return entries
+
+
+def action_entries(env: Any, agents: tuple[str, ...]) -> list[dict[str, Any]]:
+    """What the entries of the action are, in order: joint, its limits [rad], and what a full action of 1 asks [rad]."""
+    scale, found = env.task.control.action_scale, []
+    for agent in agents:
+        if agent == "robot":
+            model = env.scene.model
+            names = [
+                model.joint(j).name.removeprefix("robot/") for j in env.scene.index.robot_joint
+            ]
+            limits = env.controller.robot_range
+        else:
+            names = list(env.scene.moving)
+            limits = joint_limits(env.scene.moving, np.float32(1.0), np)
+        found += [
+            {
+                "joint": name, "agent": agent, "low": -1, "high": 1, "full_action_rad": scale,
+                "joint_limits_rad": [round(float(x), 6) for x in pair],
+            }
+            for name, pair in zip(names, limits, strict=True)
+        ]  # fmt: skip
+    return found
+
+
+def _meaning(env: Any, agent: str) -> str:
+    """What an agent's action asks of its joints."""
+    control = env.task.control
+    if agent == "robot":
+        return (
+            f"For {env.dt:g} s each joint's motor moves it towards the angle measured at the start of the control step plus "
+            f"{control.action_scale:g} rad times the action (in steps of 0.05 rad times the action, none beyond the joint's "
+            f"limits), at a velocity of {control.rate:g} /s times what is left, with at most {control.max_torque:g} N m."
+        )
+    return (
+        f"For {env.dt:g} s the muscles of each joint pull it towards the angle measured at the start of the control step (with "
+        f"tremor: the one held so far) plus {control.action_scale:g} rad times the action, within the joint's limits. Limits "
+        "are those without an impairment, which narrows them."
+    )

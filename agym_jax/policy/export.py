@@ -1,0 +1,142 @@
+"""Write a policy as ONNX, with its normaliser inside and what inputs and outputs mean beside: ``agym-jax export``.
+
+    agym-jax export ScratchItchJaco-v0 policy.onnx
+    agym-jax export ScratchItchJaco-v0 policy.onnx --load-dir trained_models
+    agym-jax export FeedingPR2Human-v0 person.onnx --agent human
+
+Without a file or a folder, the policy that ships with the package. What is written gives the policy's mean actions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import agym_jax
+from agym_jax.data.npz import check_writable, write_file
+from agym_jax.errors import AgymError, ArgumentError, PolicyEnvironmentError, PolicyNotFoundError
+from agym_jax.policy.agents import BASELINES
+from agym_jax.policy.check import check_policy
+from agym_jax.policy.contract import contract
+from agym_jax.policy.files import find_policies
+from agym_jax.policy.onnx_graph import PRECISIONS, build_model, import_onnx
+from agym_jax.policy.policy import Policy, read_policy
+from agym_jax.registry import active_id, static_id
+
+SUFFIX = ".onnx"
+AGENTS = ("robot", "human", "joint")
+
+
+def export_policy(
+    policy: Policy, env: Any, path: Path | str, precision: str = PRECISIONS[0]
+) -> Path:
+    """Write a policy as ONNX.
+
+    Args:
+        policy: of one agent of ``env``, or of both at once.
+        env: environment that it acts in.
+        path: file to write, ending in ``.onnx``; its folder is made if need be.
+        precision: of what is computed inside, see ``onnx_graph.PRECISIONS``.
+
+    Returns:
+        The path.
+
+    Raises:
+        ArgumentError: the file's name has another ending.
+        SaveFolderError: the folder cannot be written to.
+        MissingExtraError: onnx is not installed.
+        PolicyEnvironmentError: the policy was trained for another task, robot or agent.
+        PolicyLayoutError: it reads another observation.
+    """
+    path = checked_path(path)
+    agent = policy.info.get("agent", "robot")
+    check_policy(policy, env, path, agent=agent if env.active else None)
+    model = build_model(policy, contract(env, agent, policy.info), precision)
+    write_file(path, model.SerializeToString())
+    return path
+
+
+def checked_path(path: Path | str) -> Path:
+    """The path of a file that can be written.
+
+    Raises:
+        ArgumentError: its name does not end in ``.onnx``.
+        SaveFolderError: its folder cannot be written to.
+    """
+    path = Path(path)
+    if path.suffix != SUFFIX:
+        raise ArgumentError(f"A policy is exported to a file whose name ends in {SUFFIX}, got {str(path)!r}.")  # fmt: skip
+    if path.is_dir():
+        raise ArgumentError(f"{path} is a folder. Name a file.")
+    check_writable(path.parent, "Choose another file.")
+    return path
+
+
+def choose_policy(
+    env_id: str,
+    load_dir: str | None = None,
+    policy: str | None = None,
+    agent: str | None = None,
+) -> Path:
+    """The file of the policy that the command line means.
+
+    Args:
+        env_id: environment id.
+        load_dir: ``--save-dir`` of a training run.
+        policy: a file, before ``load_dir``.
+        agent: whose policy; None for the robot's, or for whose the file is.
+
+    Raises:
+        PolicyNotFoundError: there is none.
+        PolicyEnvironmentError: the person's policy of an id in which the person does not act.
+        ArgumentError: a baseline, which is no file.
+    """
+    if policy in BASELINES:
+        raise ArgumentError(f"{policy!r} is no policy that could be written. Name a file with --policy.")  # fmt: skip
+    plain = env_id.rpartition(":")[2]
+    if agent in ("human", "joint") and plain == static_id(plain):
+        raise PolicyEnvironmentError(
+            f"In {plain!r} the person holds still: there is no --agent {agent}. Use {active_id(plain)}."
+        )
+    files = find_policies(env_id, load_dir, policy)
+    if policy is not None or agent != "human":
+        return Path(files.robot)
+    if files.human is None:
+        raise PolicyNotFoundError(
+            f"There is no person's policy for {plain!r} beside {files.robot}. Name its file with --policy."
+        )
+    return Path(files.human)
+
+
+def main(argv: Sequence[str] | None = None, prog: str = "agym-jax export") -> int:
+    """The command line; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog=prog, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("id", help="environment id, such as ScratchItchJaco-v0")
+    parser.add_argument("output", help="file to write, such as policy.onnx")
+    parser.add_argument("--policy", help="file of the policy, instead of the shipped one")
+    parser.add_argument("--load-dir", help="--save-dir of the training run that it comes from")
+    parser.add_argument("--agent", choices=AGENTS, help="whose policy, where the person acts too")
+    parser.add_argument("--precision", choices=PRECISIONS, default=PRECISIONS[0], help="inside; float32 for runtimes without float64")  # fmt: skip
+    args = parser.parse_args(argv)
+    try:
+        import_onnx()
+        path = checked_path(args.output)
+        env = agym_jax.make(args.id, impl="native")  # no compiling: only names and sizes are read
+        file = choose_policy(args.id, args.load_dir, args.policy, args.agent)
+        policy = read_policy(file)
+        if args.agent:
+            check_policy(policy, env, file, agent=args.agent)
+        export_policy(policy, env, path, args.precision)
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    sizes = policy.arch.observation_size, policy.arch.action_size
+    print(
+        f"{path}: {file.name}, {policy.info['agent']} of {env.name}, {sizes[0]} observations, {sizes[1]} actions"
+    )
+    return 0

@@ -24,7 +24,14 @@ NOT_NEGATIVE = (
     "noise_floor", "noise_end",
     "cost_limit", "cost_proportional", "cost_integral", "cost_derivative", "cost_multiplier_max",
 )  # fmt: skip
-SHARES = ("gamma", "gae_lambda", "entropy_decay_share", "cost_tighten_from", "cost_tighten_until")
+SHARES = (
+    "gamma",
+    "gae_lambda",
+    "entropy_decay_share",
+    "noise_hold",
+    "cost_tighten_from",
+    "cost_tighten_until",
+)
 MAX_ENV_STEPS = 2**32 - 1  # the learner counts steps in 32 unsigned bits
 
 
@@ -161,6 +168,9 @@ class LearnConfig:
     noise_end: float = 0.0
     """Largest deviation of "normal" at the end; 0 = any. The bound falls from init_noise_std between 40 and 80 % of the
     run, so that the mean learns to do what noise did."""
+    noise_hold: float = 0.0
+    """Share of the variance of the exploration noise that stays the same for num_steps, so that motions in one
+    direction get further."""
     policy_head_gain: float = 0.01
     """Gain of the initial weights of the policy's last layer (Assistive Gym: 1)."""
 

@@ -24,6 +24,7 @@ from agym_jax.policy.policy import Policy, read_policy
 
 from ..configs import LearnConfig
 from .constraint import COST_LOSSES, SHARED
+from .noise import Held
 from .ppo import (
     LOSSES,
     AgentState,
@@ -146,21 +147,23 @@ class Agents:
         return LearnerState(states, key)
 
     def act(
-        self, learner: LearnerState, obs: jax.Array, key: jax.Array
+        self, learner: LearnerState, obs: jax.Array, key: jax.Array, held: Held | None = None
     ) -> tuple[jax.Array, jax.Array, dict[str, jax.Array]]:
         """Actions, raw samples and log-probabilities by agent, for observations (B, observation).
 
-        Each acts by what it sees itself; a frozen one by the mode of its distribution.
+        Each acts by what it sees itself; a frozen one by the mode of its distribution. ``held`` is the noise that
+        lasts: a key, and its share of the variance.
         """
         actions, raws, log_probs = [], [], {}
-        for agent, key_agent in zip(self.agents, self._split(key), strict=True):
+        for index, (agent, key_agent) in enumerate(zip(self.agents, self._split(key), strict=True)):
             state, own = learner.agents[agent.name], obs[..., agent.part.observed]
             known = (agent.networks, state.normalizer, state.params.policy, own)
             if agent.frozen:
                 action = raw = mode_action(*known)
                 log_prob = jnp.zeros(own.shape[:-1])
             else:
-                action, raw, log_prob = sample_action(*known, key_agent)
+                lasting = held and (jax.random.fold_in(held[0], index), held[1])
+                action, raw, log_prob = sample_action(*known, key_agent, lasting)
             actions.append(action)
             raws.append(raw)
             log_probs[agent.name] = log_prob

@@ -36,7 +36,7 @@ from .constraint import (
     learn_constraint,
     penalised,
 )
-from .noise import NoiseBounds
+from .noise import Noise
 from .rollout import Batch
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
@@ -65,7 +65,7 @@ class Hyper:
     clip_value_loss: Any  # 1: clip the change of the value prediction too
     recompute_advantages: Any  # 1: before every pass over the data, with the values of then
     learns: Any  # 0: one of several trainings that has been stopped
-    noise: NoiseBounds
+    noise: Noise
     constraint: ConstraintHyper | None = None  # None without a cost limit
 
     @classmethod
@@ -99,7 +99,7 @@ class Hyper:
         }
         numbers = {name: np.float32(value) for name, value in values.items()}
         constraint = ConstraintHyper.of(config, episode_length)
-        return cls(**numbers, noise=NoiseBounds.of(config), constraint=constraint)
+        return cls(**numbers, noise=Noise.of(config), constraint=constraint)
 
 
 @jax.tree_util.register_dataclass

@@ -15,6 +15,8 @@ NOTHING = "*No results yet.*"
 PHYSICS_SINCE = "2026-11-23T00:15"
 """When the present physics came about (UTC, as in results): starts, motors, muscles, friction, bed, heads and what a robot may touch as in
 Assistive Gym. Tables mark what was measured before. Set it anew with a change that makes older figures wrong."""
+TASK_SINCE = {"Dressing": "2026-11-23T03:50"}
+"""The same of single tasks that changed since: Dressing's start and gown."""
 EARLIER = "†"
 Line = dict[str, Any]
 
@@ -40,7 +42,13 @@ def read_results(name: str, keys: Sequence[str], folder: Path = RESULTS) -> list
 
 def is_earlier(line: Line) -> bool:
     """Whether a result is of an earlier physics than the present one."""
-    return "time" in line and line["time"] < PHYSICS_SINCE
+    return "time" in line and line["time"] < max(PHYSICS_SINCE, TASK_SINCE.get(_task(line), ""))
+
+
+def _task(line: Line) -> str:
+    """The task of ``TASK_SINCE`` that a result is of, or nothing."""
+    env = str(line.get("env", "Dressing" if line.get("kind") == "pulls" else ""))
+    return next((task for task in TASK_SINCE if env.startswith(task)), "")
 
 
 def about(lines: Sequence[Line]) -> str:
@@ -50,7 +58,8 @@ def about(lines: Sequence[Line]) -> str:
     days = sorted({line["time"][:10] for line in lines if "time" in line})
     when = f"; {' to '.join(dict.fromkeys([days[0], days[-1]]))}" if days else ""
     earlier = [is_earlier(line) for line in lines]
-    day = PHYSICS_SINCE.replace("T", ", ") + " UTC"
+    since = {"": PHYSICS_SINCE, **{t: x for t, x in TASK_SINCE.items() if t in map(_task, lines)}}
+    day = "; ".join(f"{t} {x.replace('T', ', ')} UTC".strip() for t, x in since.items())
     before = ""
     if all(earlier) and earlier:
         before = f" **Measured before the present physics** (since {day})."

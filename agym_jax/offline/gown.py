@@ -1,18 +1,17 @@
-"""Builds the hospital gown from a few measures: a sleeve, and under its opening a piece of the body.
+"""Builds the hospital gown from a few measures: a sleeve that widens to the shoulder, up to where it is held.
 
-``agym-jax gown`` writes ``assets/garments/gown.npz``. The gown at rest, in the frame of
-``garment.py``: the sleeve is a tapering tube along -y. Its opening, where the hand enters, is the loop that the
-sleeve test watches; its other end has the perimeter of AG's cuff, 0.386 m. The gripper holds the top of the opening
-by a patch that is as wide as AG's, 75 mm. The body continues the underside of the opening along +y: the arc
-there, and wings tangential to it. The undeformed shape is free of stress.
+``agym-jax gown`` writes ``assets/garments/gown.npz``. The gown at rest, in the frame of ``garment.py``, is a surface
+of revolution about y. Its narrow end, -y, is the cuff, the loop that the sleeve test watches; towards its wide end it has
+at every distance from the cuff the girth of AG's gown (lines of equal distance on AG's mesh). The gripper holds the top
+of the wide end, as AG's holds the edge of the gown at the neck: there AG's gown is cut open, and the hand enters
+between its front and its back. The undeformed shape is free of stress.
 
 Facts of Assistive Gym: reference tasks.md section 6.
 
-DEVIATION(part-of-a-gown): sleeve and body have 0.39 m^2 of AG's 1.10 m^2, at AG's 0.209 kg/m^2: 0.08 kg of
-0.23 kg. The other sleeve and the rest of the body, which hang from the gripper or lie on the lap, are left out.
-DEVIATION(held-at-the-opening): the gripper holds the gown where the arm enters, and the watched loop is that
-opening, 0.52 m round as an armhole is: AG's 0.386 m does not pass a bent elbow of 43 mm radius without
-stretching. AG's gripper holds the shoulder, and the loop, the sleeve's other end, hangs 0.33 m below it.
+DEVIATION(part-of-a-gown): the gown ends where it is held, 0.33 m from the cuff: 0.26 m^2 of AG's 1.10 m^2, at AG's
+0.209 kg/m^2: 0.05 kg of 0.23 kg. The rest, which hangs from the gripper to both sides or lies on the lap, is left out.
+DEVIATION(wide-cuff): the cuff, the watched loop, is 0.44 m round. AG's 0.386 m does not pass a bent elbow of 43 mm
+radius without stretching: AG's stretches, by a half where it is pulled over the elbow.
 """
 
 from __future__ import annotations
@@ -20,12 +19,22 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
+import jax.numpy as jnp
 import numpy as np
 
 from agym_jax.data.assets import asset_root
 from agym_jax.matter.cloth.garment import GOWN, Garment, save
 from agym_jax.matter.cloth.hang import settle
+from agym_jax.matter.cloth.topology import GOWN_FABRIC
+from agym_jax.matter.shapes import Capsules
+
+GIRTHS = ((0.0, 0.386), (0.07, 0.407), (0.11, 0.490), (0.15, 0.637), (0.33, 1.415))
+"""Of AG's gown: distance from the cuff along the cloth, length of the line at that distance [m]."""
+
+HANDS, HANDS_RADIUS = ((0.0, 0.08, -0.22), (0.0, 0.5, -0.22)), 0.08
+"""Thicker than a hand and the forearm behind it, in the garment's frame [m]: the gown hangs around it."""
 
 
 @dataclass(frozen=True)
@@ -33,26 +42,18 @@ class GownMeasures:
     """Measures of the gown [m]; AG's where a source is given, else estimates.
 
     Attributes:
-        edge: length of most edges, which sets the resolution; diagonals are longer by 1.4.
-        opening: perimeter of the armhole.
-        cuff: perimeter of the sleeve's other end (AG: the smaller cuff).
-        sleeve: length of the tube: from the shoulder to the middle of the forearm of AG's man.
-        patch: width that is held at the opening's top (AG: the patch of anchors).
-        patch_depth: length of the held patch into the sleeve (AG: the same).
-        body_width: width of the body, along the cloth.
-        body_length: length of the body along +y.
-        seam: share of the opening to which the body is joined.
+        edge: length of most edges, which sets the resolution.
+        cuff: perimeter of the cuff; AG's girths are widened to it.
+        length: from the cuff to where the gown is held, along the cloth (AG: 0.32 to 0.36).
+        patch: width that is held (AG: the patch of anchors).
+        patch_depth: length of the held patch (AG: the same).
     """
 
     edge: float = 0.0241
-    opening: float = 0.52
-    cuff: float = 0.386
-    sleeve: float = 0.43
+    cuff: float = 0.44
+    length: float = 0.33
     patch: float = 0.075
     patch_depth: float = 0.018
-    body_width: float = 0.40
-    body_length: float = 0.40
-    seam: float = 0.19
 
 
 def build_gown(measures: GownMeasures = GownMeasures()) -> Garment:
@@ -62,78 +63,73 @@ def build_gown(measures: GownMeasures = GownMeasures()) -> Garment:
         measures: of the gown.
     """
     m = measures
-    around = 2 * round(m.opening / m.edge / 2)
-    edge = m.opening / around
-    radius = edge / (2 * np.sin(np.pi / around))
-    rows = round(m.sleeve / edge)
-    column = np.arange(around) - (around - 1) / 2  # from the top, symmetric; the ends meet below
-    angle = 2 * np.pi * column / around
-    ring = np.stack([radius * np.sin(angle), 0 * angle, radius * np.cos(angle)], -1)
-    back = np.array([0.0, -edge, 0.0])
-    down = np.arange(rows + 1)[:, None, None]
-    width = 1.0 - (1.0 - m.cuff / m.opening) * down / rows
-    top = np.array([0.0, 0.0, radius])  # straight: what the gripper holds is level
-    sleeve = (top + width * (ring - top) + back * down).reshape(-1, 3)
-    ids = np.arange(len(sleeve)).reshape(rows + 1, around)
-    tube = _quads(np.concatenate([ids, ids[:, :1]], axis=1), np.arange(around) < around // 2)
-
-    half = max(1, round(m.seam * around / 2))  # the seam: 2 * half columns about the lowest point
-    seam = np.concatenate([ids[0, -half:], ids[0, :half]])
-    profile = ring[seam]
-    wing = max(1, round((m.body_width / edge - (2 * half - 1)) / 2))
-    outwards = [_unit(profile[0] - profile[1]), _unit(profile[-1] - profile[-2])]
-    steps = edge * np.arange(1, wing + 1)[:, None]
-    profile = np.concatenate(
-        [(profile[0] + steps * outwards[0])[::-1], profile, profile[-1] + steps * outwards[1]]
-    )
-    length = round(m.body_length / edge)
-    body = (profile - back * np.arange(length + 1)[:, None, None]).reshape(-1, 3)
-    in_body = np.arange(len(body)).reshape(length + 1, -1)
-    shared = in_body[0, wing:-wing]
-    fresh = np.setdiff1d(np.arange(len(body)), shared)
-    number = np.empty(len(body), int)
-    number[fresh] = len(sleeve) + np.arange(len(fresh))
-    number[shared] = seam
-
-    # where sleeve and body meet, diagonals avoid the vertices with most edges, which keeps six edges per vertex
-    cell = np.arange(in_body.shape[1] - 1)
-    mirrored = ((cell >= wing) & (cell < wing + half)) | (cell >= len(cell) - wing)
-
-    held = np.flatnonzero(np.abs(column) * edge <= m.patch / 2)
-    deep = max(1, round(m.patch_depth / edge))
-    vertices = np.concatenate([sleeve, body[fresh]])
-    anchors = ids[: deep + 1, held].ravel()
+    height = m.edge * np.sqrt(3.0) / 2.0  # of a triangle
+    rows = round(m.length / height)
+    along, forward, girth = _profile(m)
+    rings, vertices, top = [], [], []
+    for distance in np.linspace(0.0, m.length, rows + 1):
+        around = np.interp(distance, along, girth)
+        count = 2 * round(around / m.edge / 2)
+        column = np.arange(count) - (count - 1) / 2  # from the top, symmetric; the ends meet below
+        angle, radius = 2 * np.pi * column / count, around / (2 * np.pi)
+        y = np.full(count, np.interp(distance, along, forward))
+        rings.append(sum(map(len, rings)) + np.arange(count))
+        vertices.append(np.stack([radius * np.sin(angle), y, radius * np.cos(angle)], -1))
+        top.append(rings[-1][np.abs(column) * m.edge <= m.patch / 2])
+    placed = np.concatenate(vertices)
+    strips = [_strip(placed, a, b) for a, b in pairwise(rings)]
+    deep = max(1, round(m.patch_depth / height))
+    anchors = np.concatenate(top[-1 - deep :])
     return Garment(
         name="gown",
-        vertices=vertices - vertices[anchors].mean(0),
-        triangles=np.concatenate([tube, _quads(number[in_body], mirrored)]),
-        cuff=ids[0],
+        vertices=placed - placed[anchors].mean(0),
+        triangles=np.concatenate(strips),
+        cuff=rings[0],
         anchors=anchors,
     )
 
 
-def _quads(grid: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
-    """Two triangles for every cell of a grid of vertices (r, c): (t, 3).
+def _profile(m: GownMeasures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distance from the cuff along the cloth, y, and girth [m], each (p,)."""
+    along = np.linspace(0.0, m.length, 2001)
+    girth = np.maximum(np.interp(along, *np.array(GIRTHS).T), m.cuff)
+    wider = np.diff(girth / (2 * np.pi))
+    steps = np.sqrt(np.maximum(np.diff(along) ** 2 - wider**2, 0.0))
+    return along, np.concatenate([[0.0], np.cumsum(steps)]), girth
+
+
+def _strip(vertices: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Triangles between two closed rings that begin beside each other, the shorter diagonal first (t, 3).
 
     Args:
-        grid: vertices.
-        mirrored: columns of cells whose diagonals are mirrored (c - 1,) bool.
+        vertices: [m] (n, 3).
+        first: vertices of one ring, in order (a,).
+        second: vertices of the other ring (b,).
     """
-    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]
-    first = np.stack([a, b, np.where(mirrored, c, d)], -1)
-    second = np.stack([np.where(mirrored, b, a), d, c], -1)
-    return np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
-
-
-def _unit(a: np.ndarray) -> np.ndarray:
-    return a / np.linalg.norm(a)
+    a, b = np.append(first, first[0]), np.append(second, second[0])
+    triangles, i, j = [], 0, 0
+    while i < len(first) or j < len(second):
+        ends = [np.inf, np.inf]
+        if i < len(first):
+            ends[0] = float(np.linalg.norm(vertices[a[i + 1]] - vertices[b[j]]))
+        if j < len(second):
+            ends[1] = float(np.linalg.norm(vertices[b[j + 1]] - vertices[a[i]]))
+        if ends[0] < ends[1]:
+            triangles.append((a[i], a[i + 1], b[j]))
+            i += 1
+        else:
+            triangles.append((a[i], b[j + 1], b[j]))
+            j += 1
+    return np.array(triangles)
 
 
 def main(argv: Sequence[str] | None = None, prog: str = "agym-jax gown") -> int:
     """The command line; returns the exit status."""
     description = "Build the gown of the package, let it settle, and write it to the assets."
     argparse.ArgumentParser(prog=prog, description=description).parse_args(argv)
-    gown = settle(build_gown())
+    tip, elbow = (jnp.array([end]) for end in HANDS)
+    hands = Capsules(tip, elbow, jnp.array([HANDS_RADIUS]))
+    gown = settle(build_gown(), GOWN_FABRIC, hands)
     save(gown, asset_root() / GOWN)
     print(
         f"{len(gown.vertices)} vertices, {len(gown.triangles)} triangles, {gown.areas.sum():.3f} m^2, "

@@ -1,14 +1,9 @@
 """Dressing: pull the sleeve of a hospital gown up the person's left arm.
 
 Assistive Gym v0.1 ``dressing.py`` (reference tasks.md section 6). The person holds the left arm sideways, the
-forearm forwards. The gripper holds the gown at the sleeve's opening and is paid for how far up the arm the
-opening has come; 0.4 m, from the tip of the hand along forearm and upper arm, are a success.
+forearm forwards. The gripper holds the gown at the neck, 0.33 m from the cuff, above the hand, and is paid for how far up the
+arm the cuff has come; 0.4 m, from the tip of the hand along forearm and upper arm, are a success.
 
-DEVIATION(start-before-the-hand): the gripper starts 12 cm before the tip of the hand and 10 cm above it. In AG,
-where it holds the gown 0.33 m above the opening, it starts 0.22 m above the hand: the opening is as far away.
-DEVIATION(gown-swivels): the held patch turns about the vertical like a caster towards where it is pulled, from
-along the forearm to along the upper arm, whatever the hand's own direction. AG's patch keeps its direction, but
-its opening hangs 0.33 m below and turns by itself; a sleeve that is pulled round an elbow has to.
 DEVIATION(cloth-force): true newtons, the mean over a control step of what the gown presses on the person,
 summed over its vertices. AG: position corrections times 10, of contacts below 1.1 m and 20 units, with robot
 and wheelchair among them.
@@ -19,7 +14,7 @@ DEVIATION(dressing-limits): the joint limits of the person's arm hold here as in
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -36,7 +31,7 @@ from agym_jax.matter.cloth import solver as fabrics
 from agym_jax.matter.cloth.garment import Garment, load
 from agym_jax.matter.cloth.hang import settle
 from agym_jax.matter.cloth.solver import Cloth, ClothContact
-from agym_jax.matter.cloth.topology import ClothSpec, Fabric, build_cloth
+from agym_jax.matter.cloth.topology import GOWN_FABRIC, ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import Capsules
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import DRESSING_TERMS, dressing_terms
@@ -59,14 +54,12 @@ ARMREST = (
 """Ends of its two capsules, world [m]: assets/furniture/wheelchair.xml."""
 ARMREST_RADIUS = 0.034  # [m]
 FLOOR = 0.0  # its height, world [m]
-START = (0.45, -0.47, 1.08)  # of the hand, world [m]
+START = (0.45, -0.3, 1.2)  # of the hand, world [m]: AG dressing.py reset
 START_SPREAD = 0.05  # [m], AG dressing.py reset
-BELOW_HAND = 0.03
-"""From the end effector down to the held patch [m]: cloth that fingertips pinch hangs below them."""
-TRAIL = 0.06
-"""Way across its heading after which the patch has mostly turned into it [m]."""
-HEADINGS = (0.0, math.pi / 2)
-"""Between which the patch turns: pulled along +y, and along -x [rad]."""
+BELOW_HAND = 0.012
+"""From the end effector down to the middle of the held patch [m] (AG, recorded: 11 to 12 mm)."""
+FREE = 0.02
+"""The gown hangs in front of a hand whose tip is so far beyond where it is held [m]: offline/gown.py HANDS."""
 LEFT_BESIDE = replace(
     WHEELCHAIR,
     name="wheelchair_left",  # what carries a robot stands on the person's left
@@ -91,7 +84,6 @@ class DressState:
     """The gown of one episode and how far it has come."""
 
     cloth: Cloth
-    heading: Array  # of the gown, about world z [rad]                          ()
     slid: Array  # how far it has slid through the fingers, world [m]           (3,)
     on_arm: sleeve.SleeveState  # what the sleeve is on or was on just now
     dressed: Array  # AG's r_dress, now [m]                                     ()
@@ -129,7 +121,7 @@ class Dressing:
 
     config: Config = Config()
     garment: str = "garments/gown.npz"
-    fabric: Fabric = field(default_factory=Fabric)
+    fabric: Fabric = GOWN_FABRIC
     name: str = "Dressing"
     cpu_rows: ClassVar[tuple[int, int]] = (1, 2)  # see sim.c_mujoco.ROWS
     # AG env.py, dressing.py: 0.01 s x 10 of 4 solver sub-steps, gain 0.001 each, 4 x 1 N m, 10 x 0.05 rad
@@ -192,7 +184,7 @@ class Dressing:
 
     @cached_property
     def watched(self) -> np.ndarray:
-        """Vertices of the two triangles that span the opening (2, 3)."""
+        """Vertices of the two triangles that span the cuff (2, 3)."""
         return sleeve.watched_vertices(self.gown)
 
     def start(self, key: Array, robot: str) -> Array:
@@ -201,11 +193,14 @@ class Dressing:
         return jnp.array([START]) + noise
 
     def init(self, key: Array, sensed: Sensed) -> DressState:
-        """The gown hangs from the hand, at rest, its opening towards the person."""
+        """The gown hangs from the gripper, at rest, and around the person's hand, if that is inside of it."""
         nowhere, zero = jnp.bool_(False), jnp.float32(0.0)
+        held_w = sensed.tool.pos_w - BELOW_HAND * UP
+        cloth = fabrics.initial(self.spec, held_w)
+        around = swung(cloth.pos_w, held_w, arm_of(sensed).hand_end_w)
+        free = (self.spec.held < 0)[:, None]
         state = DressState(
-            cloth=fabrics.initial(self.spec, sensed.tool.pos_w - BELOW_HAND * UP),
-            heading=zero,
+            cloth=replace(cloth, pos_w=jnp.where(free, around, cloth.pos_w)),
             slid=jnp.zeros(3),
             on_arm=sleeve.SleeveState(nowhere, nowhere),
             dressed=zero,
@@ -233,24 +228,22 @@ class Dressing:
         radius = jnp.concatenate([radius, jnp.full(2, ARMREST_RADIUS)])
 
         def one(carry: tuple, moment: tuple) -> tuple[tuple, ClothContact]:
-            cloth, heading, slid = carry
+            cloth, slid = carry
             (a0, b0, hand0), (a1, b1, hand1) = moment
-            after = swivel(heading, hand1 - hand0)
             cloth, touch = fabrics.step(
                 self.spec, cloth, Capsules(a0, b0, radius), Capsules(a1, b1, radius),
-                held_at(self.spec, hand0 + slid, heading), held_at(self.spec, hand1 + slid, after),
+                held_at(self.spec, hand0 + slid), held_at(self.spec, hand1 + slid),
                 self.control.time_step, fabrics.in_hand(slid), FLOOR,
             )  # fmt: skip
-            return (cloth, after, fabrics.slip(slid, touch, self.control.time_step)), touch
+            return (cloth, fabrics.slip(slid, touch, self.control.time_step)), touch
 
         way = a, b, motion.tool_pos_w
         moments = tuple(x[:-1] for x in way), tuple(x[1:] for x in way)
-        carry = state.cloth, state.heading, state.slid
-        (cloth, heading, slid), touch = jax.lax.scan(one, carry, moments)
-        return replace(state, cloth=cloth, heading=heading, slid=slid), touch
+        (cloth, slid), touch = jax.lax.scan(one, (state.cloth, state.slid), moments)
+        return replace(state, cloth=cloth, slid=slid), touch
 
     def _judge(self, state: DressState, sensed: Sensed) -> DressState:
-        """How far up the arm the opening is."""
+        """How far up the arm the cuff is."""
         points, arm = state.cloth.pos_w[self.watched], arm_of(sensed)
         on_arm = sleeve.sleeve_state(points, arm).after(state.on_arm)
         dressed = sleeve.dressing_distance(points, arm, on_arm)
@@ -302,7 +295,7 @@ class Dressing:
         return 10
 
     def privileged_obs(self, state: DressState) -> Array:
-        """What the sleeve is on, how far, and where its opening is from what is held (privileged_obs_size,)."""
+        """What the sleeve is on, how far, and where its cuff is from what is held (privileged_obs_size,)."""
         on, pos = state.on_arm, state.cloth.pos_w
         flags = [on.forearm, on.upper_arm, on.steps_off / sleeve.MEMORY_STEPS, state.dressed]
         off = pos[self.watched].mean((0, 1)) - pos[self.spec.garment.anchors].mean(0)
@@ -323,30 +316,27 @@ class Dressing:
         return [Surface(state.cloth.pos_w, self.gown.triangles, (0.55, 0.76, 0.86, 1.0))]
 
 
-def swivel(heading: Array, moved: Array) -> Array:
-    """Heading of what is pulled, after its front was moved [rad] ().
+def swung(pos_w: Array, held_w: Array, hand_w: Array) -> Array:
+    """A hanging gown, swung to where the hand is around which it hangs, world [m] (n, 3).
 
     Args:
-        heading: about world z, 0 along +y [rad] ().
-        moved: way of the hand [m] (3,).
+        pos_w: vertices, hanging around a hand below where it is held [m] (n, 3).
+        held_w: where it is held [m] (3,).
+        hand_w: tip of the person's hand [m] (3,).
     """
-    across = -jnp.cos(heading) * moved[0] - jnp.sin(heading) * moved[1]
-    return jnp.clip(heading + across / TRAIL, *HEADINGS)
+    off = hand_w - held_w
+    swing = jnp.array([off[0], jnp.minimum(off[1] - FREE, 0.0), 0.0])
+    return pos_w + swing * jnp.clip((pos_w[:, 2:] - held_w[2]) / off[2], 0.0, 1.0)
 
 
-def held_at(spec: ClothSpec, hand_w: Array, heading: Array) -> Array:
-    """Where the held vertices are, world [m] (a, 3).
+def held_at(spec: ClothSpec, hand_w: Array) -> Array:
+    """Where the held vertices are, world [m] (a, 3): the patch keeps its direction, as AG's does.
 
     Args:
-        spec: of the gown.
+        spec: of the cloth.
         hand_w: of the gripper [m] (3,).
-        heading: of the gown [rad] ().
     """
-    c, s, zero = jnp.cos(heading), jnp.sin(heading), jnp.zeros_like(heading)
-    turned = jnp.stack(
-        [jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.array([0.0, 0.0, 1.0])]
-    )
-    return fabrics.anchor_positions(spec, hand_w - BELOW_HAND * UP, turned)
+    return fabrics.anchor_positions(spec, hand_w - BELOW_HAND * UP)
 
 
 def arm_of(sensed: Sensed) -> sleeve.SleeveArm:

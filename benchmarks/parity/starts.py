@@ -29,8 +29,6 @@ KUIPER = 2.303
 """Of Kuiper's statistic, times the root of the number of samples: exceeded by one in a thousand."""
 FAMILY = 1.2
 """Greatest difference of a joint within a family [rad]."""
-LESS = {"Dressing": "start-before-the-hand"}
-"""Deviations that move the starts of a whole task."""
 
 
 def wrap(angles: np.ndarray) -> np.ndarray:
@@ -146,7 +144,7 @@ def _pair(task: str, robot: str) -> list[Row]:
         k: traces("starts")[f"{task}{robot}_{k}"].astype(float) for k in ("arm_q", "base", "hand")
     }
     n, name = len(ag["arm_q"]), f"{task}, {robot}"
-    less = LESS.get(task, "base-place" if ag["base"][:, 1].std() > 0 else "start-free")
+    less = "base-place" if ag["base"][:, 1].std() > 0 else "start-free"
     found: list[Row] = []
 
     def add(quantity: str, unit: str, theirs: float, mine: float, tolerance: float) -> None:

@@ -23,7 +23,7 @@ from agym_jax.matter.cloth.garment import (
 )  # fmt: skip
 from agym_jax.matter.cloth.hang import settle
 from agym_jax.matter.cloth.topology import REFERENCE_EDGE, REFERENCE_SUBSTEPS, Fabric, build_cloth
-from agym_jax.offline.gown import GownMeasures, build_gown
+from agym_jax.offline.gown import GIRTHS, GownMeasures, build_gown
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
 from agym_jax.sim.validate import check_task
@@ -54,15 +54,22 @@ def write_obj(folder: Path, garment: Garment, factor: float = 100.0, **said) -> 
 def test_gown_has_its_measures():
     gown = load()
     assert 400 <= len(gown.vertices) <= 1200
-    assert np.isclose(gown.cuff_perimeter, 0.52, atol=0.005)
-    far = boundary_loop("gown", gown.triangles, int(np.argmin(gown.vertices[:, 1])))
-    loop = gown.vertices[far]
+    assert np.isclose(gown.cuff_perimeter, 0.44, atol=0.005)  # deviation wide-cuff
+    wide = boundary_loop("gown", gown.triangles, int(np.argmax(gown.vertices[:, 1])))
+    loop = gown.vertices[wide]
     around = np.linalg.norm(loop - np.roll(loop, -1, 0), axis=1).sum()
-    assert np.isclose(around, 0.386, atol=0.005)  # AG's cuff
-    assert np.isclose(gown.area_density, 0.23 / 1.099) and 0.06 < gown.mass < 0.1
+    assert np.isclose(around, GIRTHS[-1][1], atol=0.005)  # AG's, where it is held
+    assert np.isclose(gown.area_density, 0.23 / 1.099) and 0.04 < gown.mass < 0.07
     assert np.allclose(gown.vertices[gown.anchors].mean(0), 0.0, atol=1e-9)
     assert 0.06 < np.ptp(gown.vertices[gown.anchors][:, 0]) < 0.09  # AG: 75 mm
     np.testing.assert_allclose(build_cloth(gown).mass.sum(), gown.mass, rtol=1e-6)
+
+
+def test_cuff_hangs_as_far_below_the_gripper_as_assistive_gyms():
+    gown = load()
+    assert gown.hanging is not None
+    cuff = gown.hanging[gown.cuff].mean(0) - gown.hanging[gown.anchors].mean(0)
+    assert -0.337 < cuff[2] < -0.30 and abs(cuff[0]) < 0.02  # AG: 0.313 +- 0.007 m
 
 
 def test_packaged_gown_equals_the_built_one():
@@ -76,7 +83,7 @@ def test_packaged_gown_equals_the_built_one():
 def test_gown_builds_at_other_resolutions(edge: float):
     gown, rough = build_gown(GownMeasures(edge=edge)), build_gown()
     assert np.isclose(gown.areas.sum(), rough.areas.sum(), rtol=0.08)
-    assert np.isclose(gown.cuff_perimeter, 0.52, atol=0.003)
+    assert np.isclose(gown.cuff_perimeter, 0.44, atol=0.005)
     spec = build_cloth(gown)
     degrees = np.bincount(gown.edges().ravel())
     assert len(spec.edges.partner) <= degrees.max() + 1  # few colours

@@ -65,12 +65,12 @@ def test_crossed_detects_segments_through_triangles(start, end, hit):
     assert bool(crossed(jnp.array(start, float), jnp.array(end, float), triangle)[0]) == hit
 
 
-def test_watched_vertices_span_the_opening():
+def test_watched_vertices_span_the_cuff():
     gown = load()
     ids = watched_vertices(gown)
     assert ids.shape == (2, 3) and len(set(ids.ravel().tolist())) == 6
     assert set(ids.ravel().tolist()) <= set(gown.cuff.tolist())
-    for triangle in gown.vertices[ids]:  # each spans the opening
+    for triangle in gown.vertices[ids]:  # each spans the cuff
         centre = gown.vertices[gown.cuff].mean(0)
         assert np.linalg.norm(triangle.mean(0) - centre) < 0.3 * np.linalg.norm(
             triangle[0] - centre

@@ -38,7 +38,7 @@ START = {
     "BedBathing": ((-0.6, 0.2, 1.0),),
     "Feeding": ((-0.15, -0.65, 1.15),),  # above the bowl, which is drawn as well
     "Drinking": ((-0.2, -0.5, 1.0),),
-    "Dressing": ((0.45, -0.47, 1.08),),  # deviation start-before-the-hand
+    "Dressing": ((0.45, -0.3, 1.2),),
     "ArmManipulation": ((-0.9, 0.7, 0.8), (-0.9, -0.3, 0.8)),
     "Reaching": ((-0.15, -0.4, 1.0),),
 }

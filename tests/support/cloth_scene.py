@@ -22,11 +22,11 @@ from agym_jax.matter.cloth.sleeve import (
 from agym_jax.matter.cloth.solver import Cloth, ClothContact, in_hand, initial, slip, step
 from agym_jax.matter.cloth.topology import ClothSpec
 from agym_jax.matter.shapes import Capsules, capsule_distances, no_capsules
-from agym_jax.tasks.dressing import BELOW_HAND, UP, held_at, swivel
+from agym_jax.tasks.dressing import BELOW_HAND, UP, held_at
 
 DT = 0.01
 NOTHING = no_capsules()
-ABOVE = 0.095
+ABOVE = 0.15
 """Height of the gripper above the arm's axis while it pulls [m]."""
 
 
@@ -107,13 +107,20 @@ def arm_of(pull: Pull) -> tuple[SleeveArm, Capsules]:
 
 def before_hand(arm: SleeveArm) -> Array:
     """Where a pull begins, but for its height [m] (3,)."""
-    fore = (arm.elbow_w - arm.wrist_w) / jnp.linalg.norm(arm.elbow_w - arm.wrist_w)
-    return arm.hand_end_w - 0.12 * fore
+    return arm.hand_end_w - 0.02 * along_forearm(arm)
+
+
+def along_forearm(arm: SleeveArm) -> Array:
+    """Direction from wrist to elbow (3,)."""
+    return (arm.elbow_w - arm.wrist_w) / jnp.linalg.norm(arm.elbow_w - arm.wrist_w)
 
 
 def up_the_arm(arm: SleeveArm) -> Array:
-    """Places that a good pull passes, but for its height [m] (3, 3)."""
-    return jnp.stack([before_hand(arm), arm.elbow_w, 0.1 * arm.elbow_w + 0.9 * arm.shoulder_w])
+    """Places that a good pull passes, but for its height [m] (4, 3): on past the elbow, then over the shoulder."""
+    fore = along_forearm(arm)
+    return jnp.stack(
+        [before_hand(arm), arm.elbow_w, arm.elbow_w + 0.45 * fore, arm.shoulder_w + 0.3 * fore]
+    )
 
 
 def path_of(pull: Pull, places: Array, n: int) -> Array:
@@ -143,10 +150,9 @@ def pull_on(
     axis = jnp.stack([arm.shoulder_w, arm.elbow_w, arm.wrist_w, capsules.a_w[2]])
 
     def one(carry: tuple, now: tuple) -> tuple[tuple, Array]:
-        cloth, heading, slid, latched, out = carry
+        cloth, slid, latched, out = carry
         before, after = now
-        turned = swivel(heading, after - before)
-        held = held_at(spec, before + slid, heading), held_at(spec, after + slid, turned)
+        held = held_at(spec, before + slid), held_at(spec, after + slid)
         cloth, touch = step(spec, cloth, capsules, capsules, *held, DT, in_hand(slid))
         slid = slip(slid, touch, DT)
         points = cloth.pos_w[watched]
@@ -166,13 +172,13 @@ def pull_on(
             slid=jnp.maximum(out.slid, jnp.linalg.norm(slid)),
             broken=out.broken | touch.broken,
         )
-        return (cloth, turned, slid, latched, out), (cloth.pos_w, touch)
+        return (cloth, slid, latched, out), (cloth.pos_w, touch)
 
     zero = jnp.float32(0.0)
     out = Outcome(zero, zero, jnp.float32(-9.0), jnp.int32(0), zero, zero, zero, jnp.array(False))
     cloth = initial(spec, pos[0] - BELOW_HAND * UP)
     nothing = sleeve_state(cloth.pos_w[watched] + 99.0, arm)
-    carry = (cloth, jnp.float32(0.0), jnp.zeros(3), nothing, out)
+    carry = (cloth, jnp.zeros(3), nothing, out)
     (cloth, *_, out), (seen, touch) = jax.lax.scan(one, carry, (pos[:-1], pos[1:]))
     return out, cloth, jax.tree.map(lambda x: x[-1], touch), seen
 

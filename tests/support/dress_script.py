@@ -1,6 +1,6 @@
 """A scripted hand that dresses a person: it knows where the arm is, and proves that the task can be done.
 
-The robot's hand goes before the tip of the person's, along the forearm, round the elbow and up the arm.
+The robot's hand goes along the person's forearm, on past the elbow until the cuff is there, and then over the shoulder.
 Inverse kinematics follow that path with the hand turned in several ways, since how it is turned matters little
 to the gown; a way on which the robot stays clear of the person is taken, and the joints are steered along
 it with the environment's own actions.
@@ -28,9 +28,10 @@ from agym_jax.matter.cloth.sleeve import crossed
 from agym_jax.offline import kinematics
 from agym_jax.tasks.dressing import ARM_LINKS
 
-HEIGHT = 0.11  # of the hand above the arm's axis [m]
-BEFORE = 0.12  # before the tip of the hand [m]
-SHARES = (0.9, 0.6, 0.4)  # of the upper arm that the opening is pulled up
+HEIGHT = 0.15  # of the hand above the arm's axis [m]
+BEFORE = 0.02  # before the tip of the hand [m]
+SHARES = (0.45, 0.38, 0.30)  # how far past the elbow the hand goes [m]
+SHOULDER = 0.25  # how far past the shoulder it ends [m]
 SPACING = 0.01  # of the places, about [m]
 PLACES = 90  # of the hand, in all
 LEVEL = 0.1  # what a radian of turning counts for [m]
@@ -54,7 +55,7 @@ class Way(NamedTuple):
 
     angles: np.ndarray  # at every control step [rad] (T, 7)
     missed: float  # greatest distance from the path [m]
-    share: float  # of the upper arm
+    share: float  # how far past the elbow [m]
     gap: float = 0.0  # least distance of the robot from the person [m]
 
 
@@ -176,10 +177,15 @@ def arm_joints(env: Any, state: Any) -> np.ndarray:
 def pull(
     pos: np.ndarray, shoulder: np.ndarray, elbow: np.ndarray, wrist: np.ndarray, radius: float, share: float
 ) -> np.ndarray:  # fmt: skip
-    """Places of the hand (PLACES, 3): before the person's, over the forearm, over the upper arm."""
-    fore, upper, up = _unit(elbow - wrist), shoulder - elbow, HEIGHT * Z
+    """Places of the hand (PLACES, 3): before the person's, over the forearm and on, over the shoulder."""
+    fore, up = _unit(elbow - wrist), HEIGHT * Z
     tip = wrist - 2 * radius * fore
-    keys = [pos, tip - BEFORE * fore + up, elbow + up, elbow + share * upper + up]
+    keys = [
+        pos,
+        tip - BEFORE * fore + up,
+        elbow + share * fore + up,
+        shoulder + SHOULDER * fore + up,
+    ]
     places = [
         a + s * (b - a)
         for a, b in pairwise(keys)

@@ -10,11 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cloth_scene import Pull, before_hand, draw_pull, pull_on
+from cloth_scene import Pull, along_forearm, before_hand, draw_pull, pull_on
 from meal_scene import CHEST, FAR, TORSO, arrays, sensed
 
 from agym_jax import observe
-from agym_jax.matter.cloth.sleeve import SleeveState
+from agym_jax.matter.cloth.sleeve import SleeveState, crossed
 from agym_jax.matter.cloth.solver import MAX_SLIP
 from agym_jax.robots import ROBOTS
 from agym_jax.spec import Preferences
@@ -23,10 +23,9 @@ from agym_jax.tasks.dressing import (
     BELOW_HAND,
     DRESSING,
     START,
-    TRAIL,
     arm_of,
     held_at,
-    swivel,
+    swung,
 )  # fmt: skip
 
 TASK = DRESSING
@@ -80,15 +79,36 @@ def test_it_begins_hanging_before_the_hand_and_dressing_nobody():
     assert -0.25 < float(state.dressed) < -0.05 and state.progress == 0 and not TASK.success(state)
     held = state.cloth.pos_w[TASK.spec.garment.anchors].mean(0)
     np.testing.assert_allclose(held, np.array(START) - [0, 0, BELOW_HAND], atol=1e-5)
-    opening = state.cloth.pos_w[TASK.watched].reshape(6, 3).mean(0)
-    assert 0.08 < np.linalg.norm(opening - arm_of(seen()).hand_end_w) < 0.2  # AG: 0.08 to 0.15
+    cuff = state.cloth.pos_w[TASK.watched].reshape(6, 3).mean(0)
+    assert 0.08 < np.linalg.norm(cuff - arm_of(seen()).hand_end_w) < 0.2  # AG: 0.08 to 0.15
 
 
-def test_at_rest_nothing_happens():
-    after, events = advance()(start(), seen())
-    assert events == {} and np.abs(after.cloth.pos_w - start().cloth.pos_w).max() < 0.01
-    assert not after.force.any() and after.heading == 0 and not after.slid.any()
-    np.testing.assert_allclose(after.dressed, start().dressed, atol=0.01)
+def test_it_begins_with_the_gown_around_the_hand_not_through_it():
+    gown, arm = TASK.spec.garment, arm_of(seen())
+    for off in ([0, 0, 0], [0.05, 0.05, 0.05], [-0.05, 0.05, -0.05], [0.05, -0.05, 0.0]):
+        held = jnp.array(START) + jnp.array(off)
+        state = TASK.init(jax.random.PRNGKey(0), seen(np.tile(held, (11, 1))))
+        corners = state.cloth.pos_w[gown.triangles]
+        assert not crossed(arm.hand_end_w, arm.elbow_w, corners).any()
+        np.testing.assert_allclose(
+            state.cloth.pos_w[gown.anchors].mean(0), held - jnp.array([0, 0, BELOW_HAND]), atol=1e-5
+        )
+
+
+def test_a_gown_whose_hand_is_beyond_hangs_straight():
+    held = jnp.array([0.0, 0.0, 1.0])
+    hanging = jnp.array([[0.0, 0.0, 1.0], [0.0, -0.1, 0.8], [0.0, -0.1, 0.6]])
+    np.testing.assert_allclose(swung(hanging, held, jnp.array([0.0, 0.3, 0.8])), hanging, atol=1e-6)
+    aside = swung(hanging, held, jnp.array([0.04, 0.3, 0.8]))
+    np.testing.assert_allclose((aside - hanging)[:, 0], [0.0, 0.04, 0.04], atol=1e-6)
+
+
+def test_at_rest_it_only_settles_on_the_hand():
+    state, first = start(), start()
+    for _ in range(5):
+        state, events = advance()(state, seen())
+    assert events == {} and not state.slid.any() and state.force.sum() < 2.0
+    np.testing.assert_allclose(state.dressed, first.dressed, atol=0.08)
 
 
 def test_the_gown_follows_the_hand_at_every_physics_step():
@@ -116,18 +136,11 @@ def test_a_gown_that_blew_up_says_nan_and_is_finite():
     assert jnp.isnan(robot.cloth_force)  # ends the episode: env.py guards the observation
 
 
-def test_the_gown_turns_like_a_caster_towards_where_it_is_pulled():
-    heading = jnp.float32(0.0)
-    for _ in range(100):
-        heading = swivel(heading, jnp.array([-0.003, 0.0, 0.0]))
-    assert 0.95 * np.pi / 2 < heading <= np.pi / 2
-    assert np.isclose(swivel(jnp.float32(0.0), jnp.array([-0.01, 0.5, 0.3])), 0.01 / TRAIL)
-    # no further than along the forearm
-    assert swivel(jnp.float32(0.0), jnp.array([0.01, 0.0, 0.0])) == 0
-    along = held_at(TASK.spec, jnp.zeros(3), jnp.float32(0.0))
-    across = held_at(TASK.spec, jnp.zeros(3), jnp.float32(np.pi / 2))
-    assert np.ptp(along[:, 0]) > 0.05 > np.ptp(along[:, 1])
-    np.testing.assert_allclose(across[:, 1], along[:, 0], atol=1e-6)
+def test_the_patch_keeps_its_direction():
+    here, there = (held_at(TASK.spec, jnp.array(p)) for p in ([0.0, 0.0, 0.0], [0.3, -0.2, 0.1]))
+    np.testing.assert_allclose(there - here, np.tile([0.3, -0.2, 0.1], (len(here), 1)), atol=1e-6)
+    assert np.ptp(here[:, 0]) > 0.05 > np.ptp(here[:, 1])
+    np.testing.assert_allclose(here.mean(0), [0, 0, -BELOW_HAND], atol=1e-6)
 
 
 def test_reward_is_assistive_gyms():
@@ -216,26 +229,25 @@ def test_every_robot_has_a_start_for_it():
 
 
 def test_pulls_dress_people_of_all_sizes_and_no_limb_passes_through():
-    pulls = jax.vmap(draw_pull)(jax.random.split(jax.random.PRNGKey(0), 5))
-    steps = 560  # at 0.15 m/s, the slowest
+    pulls = jax.vmap(draw_pull)(jax.random.split(jax.random.PRNGKey(0), 4))
+    pulls = replace(pulls, speed=jnp.full(4, 0.3))
+    steps = 550
     out = jax.jit(lambda p: jax.lax.map(lambda x: pull_on(TASK.spec, x, steps)[0], p))(pulls)
     assert (out.through == 0).all() and not out.broken.any()
-    assert (out.best > 0.4).all() and (out.progress > 0.85).all()
-    assert (out.deepest < 0.012).all() and (out.force < 20.0).all() and (out.force > 0.1).all()
+    assert (out.best > 0.4).all() and (out.progress > 0.6).all()
+    assert (out.deepest < 0.015).all() and (out.force < 20.0).all() and (out.force > 0.1).all()
     assert (out.slid < 0.005).all()  # the grip holds
 
 
 CAUGHT = {
     "the sleeve is on the forearm, and is lifted": lambda a: (
-        [before_hand(a), 0.5 * (a.wrist_w + a.elbow_w), 0.5 * (a.wrist_w + a.elbow_w) + jnp.array([0, 0, 0.4])]
+        [before_hand(a), a.elbow_w + 0.1 * along_forearm(a), 0.5 * (a.wrist_w + a.elbow_w) + jnp.array([0, 0, 0.9])]
     ),
-    "it hangs outside the elbow, and is pulled on": lambda a: (
-        [before_hand(a), before_hand(a) + jnp.array([0.2, 0, 0]), a.elbow_w + jnp.array([0.2, 0, 0]),
-         0.1 * a.elbow_w + 0.9 * a.shoulder_w]
+    "it lies against the inside of the elbow, and is pulled on": lambda a: (
+        [before_hand(a), a.elbow_w, a.elbow_w + 2.6 * (a.shoulder_w - a.elbow_w)]
     ),
-    "its edge catches on the fingers, and is pulled on": lambda a: (
-        [before_hand(a) + jnp.array([0.1, 0, 0]), a.elbow_w + jnp.array([0.1, 0, 0]),
-         0.1 * a.elbow_w + 0.9 * a.shoulder_w]
+    "the cuff is at the elbow, and is pulled on along the forearm": lambda a: (
+        [before_hand(a), a.elbow_w + 0.8 * along_forearm(a)]
     ),
 }  # fmt: skip
 """Places of the hand that pull a gown through a limb, if the grip never gives way."""
@@ -243,9 +255,9 @@ CAUGHT = {
 
 @pytest.mark.parametrize("how", CAUGHT)
 def test_a_gown_that_is_caught_slides_through_the_fingers_not_through_the_limb(how: str):
-    one, slow = jnp.float32(1.0), jnp.float32(0.3)
-    pull = Pull(one, one, jnp.zeros(3), slow, jnp.float32(np.pi / 2))
-    out = jax.jit(lambda p: pull_on(TASK.spec, p, 420, lambda a: jnp.stack(CAUGHT[how](a)))[0])(
+    one, speed = jnp.float32(1.0), jnp.float32(0.4)
+    pull = Pull(one, one, jnp.zeros(3), speed, jnp.float32(np.pi / 2))
+    out = jax.jit(lambda p: pull_on(TASK.spec, p, 480, lambda a: jnp.stack(CAUGHT[how](a)))[0])(
         pull
     )
     assert out.through == 0 and not out.broken
@@ -253,12 +265,12 @@ def test_a_gown_that_is_caught_slides_through_the_fingers_not_through_the_limb(h
 
 
 def test_the_hand_and_what_it_holds_part_while_the_gown_is_caught():
-    state = replace(start(), slid=jnp.array([0.05, 0.0, 0.0]))
+    state = replace(start(), slid=jnp.array([0.1, 0.0, 0.0]))
     after, _ = advance()(state, seen())
-    assert 0.0 < after.slid[0] < 0.05 and not after.slid[1:].any()  # it is gathered in again
+    assert 0.0 < after.slid[0] < 0.1 and not after.slid[1:].any()  # it is gathered in again
     held = after.cloth.pos_w[TASK.spec.garment.anchors].mean(0)
     expected = np.array(START) - [0, 0, BELOW_HAND] + after.slid
-    np.testing.assert_allclose(held, expected, atol=0.006)
+    np.testing.assert_allclose(held, expected, atol=0.008)
 
 
 def test_a_gown_of_which_too_much_has_slid_through_is_out_of_the_hand():

@@ -16,27 +16,32 @@ import numpy as np
 from agym_jax.matter.cloth.garment import Garment
 from agym_jax.matter.cloth.solver import anchor_positions, initial, step
 from agym_jax.matter.cloth.topology import ClothSpec, Fabric, build_cloth
-from agym_jax.matter.shapes import no_capsules
+from agym_jax.matter.shapes import Capsules, no_capsules
 
 DT = 0.01  # physics step [s]
 DURATION = 12.0  # of settling [s]
 DAMPING = 4.0  # of velocities while it settles [1/s]
 
 
-def settle(garment: Garment, fabric: Fabric = Fabric()) -> Garment:  # noqa: B008  frozen
+def settle(
+    garment: Garment,
+    fabric: Fabric = Fabric(),  # noqa: B008  frozen
+    around: Capsules | None = None,
+) -> Garment:
     """The same garment, with ``hanging`` set to the shape in which it comes to rest.
 
     Args:
         garment: upright in its frame, held at its anchors.
         fabric: properties of its cloth.
+        around: what it hangs around, in its frame; nothing if left out.
     """
     spec: ClothSpec = build_cloth(garment, replace(fabric, damping=DAMPING))
-    anchors, nothing = anchor_positions(spec, jnp.zeros(3)), no_capsules()
+    anchors, solids = anchor_positions(spec, jnp.zeros(3)), around or no_capsules()
 
     @jax.jit
     def hang() -> jax.Array:
         def one(cloth, _):
-            return step(spec, cloth, nothing, nothing, anchors, anchors, DT)[0], None
+            return step(spec, cloth, solids, solids, anchors, anchors, DT)[0], None
 
         return jax.lax.scan(one, initial(spec, jnp.zeros(3)), length=round(DURATION / DT))[0].pos_w
 

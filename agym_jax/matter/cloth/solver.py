@@ -8,7 +8,7 @@ exactly what acts on the solids: impulse over time is the force [N].
 
 Anchors move with the gripper, or lag behind it where the cloth slides through its fingers (``slip``):
 a limb would pass between two vertices whose edge is stretched to several times its length. Tethers are
-limits: no vertex is farther from its nearest anchor than the distance along the cloth. They carry the weight of the
+limits: no vertex is farther from its nearest anchor than the distance along the cloth, times ``Fabric.give``. They carry the weight of the
 hanging cloth, which single sweeps would propagate to the gripper only slowly.
 
 Nothing is scattered, and between two gathers all operations are per vertex. On an NVIDIA GPU all substeps are
@@ -18,7 +18,7 @@ DEVIATION(no-self-contact): cloth does not touch itself, as AG's does not. Bendi
 DEVIATION(grip-slips): a gown that is caught slides through the fingers instead of being pulled through the limb;
 when it comes free they gather it in again, and when more than 15 cm have slid through it is out of the hand for the
 rest of the episode. AG's anchors never slip.
-DEVIATION(gripper-feels-nothing): anchors do not push back on the robot: the gown weighs 80 g.
+DEVIATION(gripper-feels-nothing): anchors do not push back on the robot: the gown weighs 54 g.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from agym_jax.matter.shapes import (
 
 RECOVERY_SHARE = 0.2
 """Share of an earlier penetration of a solid that is removed in a substep: by displacement, without speed or force."""
-SLIP_STRETCH = 1.8
+SLIP_STRETCH = 2.5
 """Cloth slips when its most stretched edge is more than this many times as long as at rest."""
 SLIP_RATE, GATHER_RATE = 3.0, 0.5
 """Speed [m/s] at which cloth slides through the fingers per unit of stretch above ``SLIP_STRETCH`` (at most one), and

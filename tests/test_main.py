@@ -127,6 +127,7 @@ def test_an_id_may_name_a_module_in_the_current_folder(tmp_path: Path):
 # -- the trainer ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_train_py_in_the_current_folder_does_no_harm(tmp_path: Path):
     (tmp_path / "train.py").write_text(HOSTILE)
     as_module = run("", tmp_path, "evaluate", "--help")
@@ -141,6 +142,7 @@ def test_a_train_py_in_the_current_folder_does_no_harm(tmp_path: Path):
     assert "usage: agym-jax evaluate" in as_script.stdout
 
 
+@pytest.mark.slow
 def test_a_module_train_of_the_users_stays_theirs(tmp_path: Path):
     (tmp_path / "train.py").write_text("mine = True\n")
     code = (

@@ -59,6 +59,7 @@ def test_evaluating_is_no_training_time():
     assert [point["env_steps"] for point in curve.points] == [1, 2, 3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trainer", ["brax", "same"])
 def test_a_training_leaves_a_curve(trainer: brax_ppo.Trainer):
     env = RestartingEnv()

@@ -68,6 +68,7 @@ def lines(repository, name):
     return read_rows(repository / "results" / f"{name}.jsonl")
 
 
+@pytest.mark.slow
 def test_what_a_suite_leaves_becomes_results(runs, repository, capsys):
     assert collecting.main([str(runs), "--least", "0", "--commit", "abc"]) == 0
     out = capsys.readouterr().out
@@ -98,6 +99,7 @@ def test_what_a_suite_leaves_becomes_results(runs, repository, capsys):
     assert "does not ship (what ships has" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shipped_there", "ours", "ships"), [(0.5, 0.6, True), (0.6, 0.6, False), (0.7, 0.6, False)]
 )
@@ -117,6 +119,7 @@ def test_what_ships_is_replaced_by_what_is_better(shipped_there, ours, ships, ru
     assert line["success"] == (ours if ships else shipped_there) and line["commit"] == "c" * 40
 
 
+@pytest.mark.slow
 def test_a_run_of_nobody_knows_which_code_is_refused(runs, repository, capsys):
     path, before = change(runs, ALONE, commit=None)
     try:
@@ -129,6 +132,7 @@ def test_a_run_of_nobody_knows_which_code_is_refused(runs, repository, capsys):
     assert collecting.main([str(repository)]) == 2
 
 
+@pytest.mark.slow
 def test_lost_contacts_do_not_ship(runs, repository):
     path, before = change(runs, ALONE, overflow=3)
     try:
@@ -138,6 +142,7 @@ def test_lost_contacts_do_not_ship(runs, repository):
     assert collecting.decide(found, 0.0) == (False, "contacts were lost: not a result")
 
 
+@pytest.mark.slow
 def test_the_picture_is_drawn_when_what_it_shows_has_changed(runs, tmp_path, capsys):
     results, picture = tmp_path / "results", tmp_path / "curves.png"
     results.mkdir()

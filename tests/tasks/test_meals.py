@@ -147,6 +147,7 @@ def quaternion(rot: jax.Array) -> jax.Array:
     return jnp.linalg.eigh(jnp.array(upper))[1][:, -1]
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("name", ["FeedingSawyer-v0", "DrinkingBaxter-v0"])
 def test_a_robot_that_holds_still_spills_nothing(name: str):

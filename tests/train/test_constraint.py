@@ -132,6 +132,7 @@ def runs():
     )
 
 
+@pytest.mark.slow
 def test_without_a_limit_the_finger_presses_harder_and_harder(runs):
     free, _ = runs
     last = free.curve[-1]
@@ -140,6 +141,7 @@ def test_without_a_limit_the_finger_presses_harder_and_harder(runs):
     assert free.learner.agents["robot"].constraint is None
 
 
+@pytest.mark.slow
 def test_with_a_limit_the_cost_comes_down_to_it_and_the_task_is_still_done(runs):
     _, limited = runs
     for found in limited.seeds:
@@ -154,6 +156,7 @@ def test_with_a_limit_the_cost_comes_down_to_it_and_the_task_is_still_done(runs)
     assert a != b  # each has a controller of its own
 
 
+@pytest.mark.slow
 def test_each_of_several_seeds_learns_as_it_would_alone():
     config = PPOConfig(**SHORT, cost_limit=LIMIT)
     together = ppo.train(FakePressEnv(), dataclasses.replace(config, num_seeds=2))
@@ -163,6 +166,7 @@ def test_each_of_several_seeds_learns_as_it_would_alone():
             assert row[name] == pytest.approx(other[name], rel=1e-3, abs=1e-4), name
 
 
+@pytest.mark.slow
 def test_stepwise_environments_learn_the_same():
     config = PPOConfig(**SHORT, cost_limit=LIMIT)
     at_once = ppo.train(FakePressEnv(), config)

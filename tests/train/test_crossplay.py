@@ -93,6 +93,7 @@ def test_each_of_a_pair_is_asked_with_its_own_columns(runs):
         Pair(robot, baseline_policy("random", 1), 2)(obs)
 
 
+@pytest.mark.slow
 def test_the_matrix_has_every_pair_and_the_person_who_holds_still(runs, tmp_path, capsys):
     out, envs = tmp_path / "new" / "lines.jsonl", []
 

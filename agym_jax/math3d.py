@@ -69,9 +69,18 @@ def rotate_inverse(quat: Array, vectors: Array, xp: Any = jnp) -> Array:
     return _rotate(quat[..., :1], -quat[..., 1:], vectors, xp)
 
 
+def cross(a: Array, b: Array, xp: Any = jnp) -> Array:
+    """Cross product of vectors (..., 3); NumPy's own takes four times as long for a single pair."""
+    if xp is jnp:
+        return jnp.cross(a, b)
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return xp.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+
+
 def _rotate(w: Array, u: Array, vectors: Array, xp: Any) -> Array:
-    t = 2.0 * xp.cross(u, vectors)
-    return vectors + w * t + xp.cross(u, t)
+    t = 2.0 * cross(u, vectors, xp)
+    return vectors + w * t + cross(u, t, xp)
 
 
 def unit_quat_parts(w: Array, x: Array, y: Array, z: Array, xp: Any = jnp) -> tuple[Array, ...]:

@@ -1,11 +1,17 @@
-"""How one environment feels on a CPU: first step cold and warm, then speed, alone and in 64 environments.
+"""How fast environments are on a CPU: steps of many side by side, training, and how soon the first step comes.
 
-    python -m benchmarks.cpu --json benchmarks/results/cpu.jsonl
+    taskset -c 0,1 python -m benchmarks.cpu --json benchmarks/results/cpu.jsonl
 
-"Cold" is a fresh process with an empty compilation cache, "warm" a fresh process with the cache that
-the cold one filled. Times count from the start of the process, Python's own start and imports
-included. One environment is stepped as people do who look at it, through Gymnasium, on C MuJoCo; the fields
-that begin with ``mjx`` are one environment on MJX-JAX, whose ``reset`` and ``step`` are compiled whole.
+Everything runs on the cores that this process may use, and each figure comes from a process of its own:
+
+- ``speed``: control steps/s of a batch with random actions, resets included, on C MuJoCo (``native``) and on MJX (``jax``).
+- ``training``: steps/s of ``train.ppo``, acting and learning included.
+- ``latency``: seconds from the start of the process, Python's own start and imports included, to the first state and
+  the first step of one environment; "cold" with an empty compilation cache, "warm" with the one that the cold start filled.
+  One environment is stepped as people do who look at it, through Gymnasium, on C MuJoCo.
+
+``cpu_steps_per_s`` is steps per second of CPU time, on all cores together: other programs change it less than the time that
+passes. Assistive Gym's own speed is measured by ``benchmarks/assistive_gym_speed.py``.
 """
 
 from __future__ import annotations
@@ -14,18 +20,21 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import tyro
 
+from agym_jax.errors import checked_count
+from agym_jax.tasks import TASKS
 from benchmarks.child import run_child
 from benchmarks.keep import keep
 
-STEPS = 1000  # after the first, for the speed
-NATIVE = """
+STEPS = 1000  # of one environment, after the first
+UPDATES = 10  # of a training
+LATENCY = """
 import sys, time
 import gymnasium, numpy as np, agym_jax
 began, name, steps = float(sys.argv[1]), sys.argv[2], int(sys.argv[3])
@@ -41,54 +50,54 @@ for i in range(steps):
         env.reset()
 print([at_reset - began, at_step - began, steps / (time.time() - at_step)])
 """
-MJX = """
-import sys, time
-import jax, jax.numpy as jnp, agym_jax
-began, name, steps = float(sys.argv[1]), sys.argv[2], int(sys.argv[3])
-env = agym_jax.make(name, impl="jax")
-reset, step = env.jit_functions()
-state = jax.block_until_ready(reset(jax.random.PRNGKey(0)))
-at_reset = time.time()
-action = jnp.full(env.action_size, 0.1)
-state = jax.block_until_ready(step(state, action))
-at_step = time.time()
-for _ in range(steps):
-    state = step(state, action)
-jax.block_until_ready(state)
-print([at_reset - began, at_step - began, steps / (time.time() - at_step)])
-"""
-BATCH = """
+SPEED = """
 import json, sys
-from benchmarks.throughput import measure
-print(json.dumps(measure(sys.argv[1], "jax", int(sys.argv[2]), 100, 5, 0)))
+from benchmarks.cpu_speed import speed
+print(json.dumps(speed(sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4]))))
 """
+TRAINING = """
+import json, sys
+from benchmarks.cpu_speed import training
+print(json.dumps(training(sys.argv[1], sys.argv[2], int(sys.argv[3]))))
+"""
+Measured = Literal["speed", "training", "latency"]
 
 
 @dataclass(frozen=True)
 class CpuConfig:
     """Flags of ``python -m benchmarks.cpu``."""
 
-    env_name: str = "ScratchItchJaco-v0"
-    """Environment id."""
-    num_envs: int = 64
+    env_name: tuple[str, ...] = tuple(f"{task}Jaco-v0" for task in TASKS)
+    """Environment ids."""
+    measure: tuple[Measured, ...] = ("speed", "training")
+    """What to measure of each."""
+    impl: tuple[Literal["native", "jax"], ...] = ("native", "jax")
+    """Physics whose speed is measured; training and latency are measured on C MuJoCo."""
+    num_envs: tuple[int, ...] = (64, 256)
     """Environments side by side."""
+    seconds: float = 10.0
+    """How long the steps of a batch are counted [s], in three parts."""
+    machine: str = ""
+    """Name of this machine in the tables; by default that of its CPU. Lines of one machine are compared."""
     json: Path | None = None
-    """File to which the result is added as a JSON line."""
+    """File to which each result is added as a JSON line."""
+
+    def __post_init__(self) -> None:
+        """Refuse what means nothing, before anything is built."""
+        for count in self.num_envs:
+            checked_count("--num-envs", count)
 
 
-def measure_one(code: str, env_name: str) -> dict[str, float]:
-    """One environment, cold and warm.
-
-    Args:
-        code: of a process that prints the seconds to the first state and to the first step, and steps/s.
-        env_name: environment id.
-    """
+def latency(env_name: str) -> dict[str, Any]:
+    """One environment, cold and warm: seconds to the first state and to the first step, and steps/s."""
     with tempfile.TemporaryDirectory() as cache:
         cold, warm = (
-            run_child(code, repr(time.time()), env_name, str(STEPS), AGYM_JAX_CACHE=cache)
+            run_child(LATENCY, repr(time.time()), env_name, str(STEPS), AGYM_JAX_CACHE=cache)
             for _ in range(2)
         )
     return {
+        "env": env_name,
+        "impl": "native",
         "cold_reset_seconds": round(cold[0], 2),
         "cold_step_seconds": round(cold[1], 2),
         "warm_reset_seconds": round(warm[0], 2),
@@ -97,33 +106,36 @@ def measure_one(code: str, env_name: str) -> dict[str, float]:
     }
 
 
-def measure(env_name: str, num_envs: int) -> dict[str, Any]:
-    """All processes, one after the other; returns the fields of the result line."""
-    load = os.getloadavg()[0]
-    one = measure_one(NATIVE, env_name)
-    mjx = measure_one(MJX, env_name)
-    batch = run_child(BATCH, env_name, str(num_envs), AGYM_JAX_CACHE="off")
-    counted = (
-        "steps_per_s", "steps_per_s_min", "steps_per_s_max", "compile_seconds", "nan", "overflow",
-    )  # fmt: skip
-    return {
-        "env": env_name,
-        "impl": "native",
-        **one,
-        **{f"mjx_{name}": value for name, value in mjx.items()},
-        "num_envs": num_envs,
-        "batch_impl": "jax",
-        **{name: batch[name] for name in counted},
-        "load_before": round(load, 2),
-    }
+def _lines(config: CpuConfig) -> Iterator[tuple[str, Any]]:
+    """What is measured, and the function that does so, one after the other."""
+    for name in config.env_name:
+        if "latency" in config.measure:
+            yield "latency", lambda name=name: latency(name)
+        if "speed" in config.measure:
+            for impl in config.impl:
+                for count in config.num_envs:
+                    words = (name, impl, str(count), str(config.seconds))
+                    yield "speed", lambda words=words: run_child(SPEED, *words)
+        if "training" in config.measure:
+            words = (name, "native", str(UPDATES))
+            yield "training", lambda words=words: run_child(TRAINING, *words)
+
+
+def _kept(measured: str, measure: Any, config: CpuConfig) -> Mapping[str, Any] | None:
+    """One line, with the load that other programs made before."""
+    from train.runs.record import device  # asks JAX
+
+    about = {"machine": config.machine or device()["kind"]}
+    about["load_before"] = round(os.getloadavg()[0], 2)
+    return keep("cpu", lambda: {"measured": measured, **measure(), **about}, config.json)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(CpuConfig, prog="python -m benchmarks.cpu", args=arguments)
     os.environ["JAX_PLATFORMS"] = "cpu"  # for the children, and for the record, which asks JAX
-    fields = keep("cpu", lambda: measure(config.env_name, config.num_envs), config.json)
-    return 2 if fields is None else 0
+    kept = [_kept(measured, measure, config) for measured, measure in _lines(config)]
+    return 2 if None in kept else 0
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from operator import itemgetter
 from pathlib import Path
 
-from benchmarks import policy_tables
+from benchmarks import cpu_tables, policy_tables
 from benchmarks.markdown import (
     RESULTS,
     Line,
@@ -49,22 +49,6 @@ def throughput(folder: Path = RESULTS) -> str:
     lines = read_results("throughput", ("env", "impl", "num_envs"), folder)
     by = itemgetter("env", "impl", "num_envs")
     return table(lines, columns, by, "Random actions, resets included;")
-
-
-def cpu(folder: Path = RESULTS) -> str:
-    """Latency and speed on a CPU."""
-    lines = read_results("cpu", ("env",), folder)
-    envs = several(x["num_envs"] for x in lines)
-    cores = several(x["device"]["cpu_cores"] for x in lines)
-    columns = {
-        "environment": lambda x: x["env"],
-        "first step, cold": lambda x: f"{x['cold_step_seconds']:.0f} s",
-        "first step, warm cache": lambda x: f"{x['warm_step_seconds']:.0f} s",
-        "steps/s, 1 environment": lambda x: f"{x['single_steps_per_s']:,}",
-        f"steps/s, {envs} environments": lambda x: f"{x['steps_per_s']:,}",
-    }
-    note = f"Latencies from process start; {cores} cores;"
-    return table(lines, columns, itemgetter("env"), note)
 
 
 def compilation(folder: Path = RESULTS) -> str:
@@ -277,7 +261,10 @@ TABLES: dict[str, Callable[..., str]] = {
     "nan": nan,
     "reach": reach,
     "pulls": pulls,
-    "cpu": cpu,
+    "cpu": cpu_tables.summary,
+    "cpu-speed": cpu_tables.speed,
+    "cpu-latency": cpu_tables.latency,
+    "laptop": cpu_tables.laptop,
     "in-assistive-gym": in_assistive_gym,
 }
 

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -245,12 +246,18 @@ def joint_limits(names: tuple[str, ...], limit_scale: Array = 1.0, xp: Any = jnp
     Returns:
         (len(names), 2)
     """
+    radians, scaled = _full_limits(tuple(names))
+    return xp.where(scaled, limit_scale, 1.0) * radians
+
+
+@cache
+def _full_limits(names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Limits without impairment [rad] (n, 2), and which of them an impairment narrows (n, 1)."""
     for name in names:
         if name not in JOINTS:
             raise UnknownNameError("human joint", name, JOINTS)
     degrees = np.array([(JOINTS[n].lower, JOINTS[n].upper) for n in names], np.float32)
-    scaled = np.array([JOINTS[n].scaled for n in names])[:, None]
-    return xp.where(scaled, limit_scale, 1.0) * np.deg2rad(degrees)
+    return np.deg2rad(degrees), np.array([JOINTS[n].scaled for n in names])[:, None]
 
 
 class BodyFields(NamedTuple):

@@ -62,7 +62,7 @@ def make_episode(scene: Scene, spec: HumanSpec, drawn: EpisodeSample, xp: Any = 
     angles = human_pose.start_angles(pose, scene.moving, human.limit_scale, xp)
     rows = human_rows(scene, spec, human, pose, xp)
     rows, angles = jax.tree.map(lambda x: xp.asarray(x, np.float32), (rows, angles))
-    return Episode(human, pose, rows, placement, angles, angles, jnp.int32(0))
+    return Episode(human, pose, rows, placement, angles, angles, xp.int32(0))
 
 
 def start_qpos(scene: Scene, episode: Episode) -> Array:

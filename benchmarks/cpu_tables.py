@@ -1,0 +1,148 @@
+"""Tables of what was measured on CPUs, see ``benchmarks.tables``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from operator import itemgetter
+from pathlib import Path
+
+from agym_jax.tasks import TASKS
+from benchmarks.markdown import NOTHING, RESULTS, Line, grid, read_results, several, table
+from train.evaluation.statistics import iqm
+
+NATIVE, MJX, THEIRS = "native", "jax", "assistive-gym"
+NAMES = {NATIVE: "C MuJoCo", MJX: "MJX", THEIRS: "Assistive Gym"}
+Speeds = dict[tuple[str, str, int], Line]
+"""Environment, implementation, environments side by side -> line."""
+
+
+def _lines(measured: str, keys: Sequence[str], folder: Path) -> list[Line]:
+    lines = read_results("cpu", ("measured", "env", *keys), folder)
+    return [line for line in lines if line.get("measured", "latency") == measured]
+
+
+def latency(folder: Path = RESULTS) -> str:
+    """How soon the first step comes, and the speed of one environment."""
+    lines = {x["env"]: x for x in _lines("latency", ("machine",), folder)}  # the newest
+    columns = {
+        "environment": lambda x: x["env"],
+        "first step, cold": lambda x: f"{x['cold_step_seconds']:.1f} s",
+        "first step, warm cache": lambda x: f"{x['warm_step_seconds']:.1f} s",
+        "steps/s, 1 environment": lambda x: f"{x['single_steps_per_s']:,}",
+    }
+    cores = several(x["device"]["cpu_cores"] for x in lines.values())
+    note = f"From the start of the process, C MuJoCo; {cores} cores;"
+    return table(list(lines.values()), columns, itemgetter("env"), note)
+
+
+def _speeds(measured: str, folder: Path) -> tuple[Speeds, Speeds, dict[str, Line]]:
+    """Of ours on the machine that was measured last and on Assistive Gym's, and of Assistive Gym by environment."""
+    lines = _lines(measured, ("impl", "num_envs", "machine"), folder)
+    lines.sort(key=itemgetter("time"))
+    ours, theirs = ([x for x in lines if (x["impl"] == THEIRS) is gym] for gym in (False, True))
+
+    def beside(last: Sequence[Line]) -> Speeds:
+        here = [x for x in ours if last and x["machine"] == last[-1]["machine"]]
+        return {(x["env"], x["impl"], x["num_envs"]): x for x in here}
+
+    return beside(ours), beside(theirs), {x["env"]: x for x in theirs}
+
+
+def _value(speeds: Speeds, env: str, impl: str, num_envs: int) -> str:
+    line = speeds.get((env, impl, num_envs))
+    return f"{line['steps_per_s']:,}" if line else ""
+
+
+def _ratio(line: Line | None, other: Line | None, name: str) -> str:
+    return f"{line[name] / other[name]:.1f}" if line and other else ""
+
+
+def speed(folder: Path = RESULTS) -> str:
+    """Steps per second of batches on each implementation, and of training."""
+    here, there, gyms = _speeds("speed", folder)
+    training = {env: x for (env, *_), x in _speeds("training", folder)[0].items()}
+    measured = {*gyms, *(env for env, *_ in here)}
+    names = [x for x in (f"{task}Jaco-v0" for task in TASKS) if x in measured]
+    if not names:
+        return NOTHING
+    counts = sorted({count for _, _, count in here})
+    batches = [(impl, count) for count in counts for impl in (MJX, NATIVE)]
+    rows = [[
+        "environment", *(f"{NAMES[impl]}, {count}" for impl, count in batches),
+        *(f"ratio, {count}" for count in counts), "training", NAMES[THEIRS], "ratio",
+    ]]  # fmt: skip
+    for env in names:
+        own, gym, least = training.get(env), gyms.get(env), counts[0] if counts else 0
+        rows.append([
+            env,
+            *(_value(here, env, impl, count) for impl, count in batches),
+            *(_ratio(here.get((env, NATIVE, n)), here.get((env, MJX, n)), "steps_per_s") for n in counts),
+            f"{own['steps_per_s']:,}" if own else "",
+            f"{gym['steps_per_s']:,}" if gym else "",
+            _ratio(there.get((env, NATIVE, least)), gym, "cpu_steps_per_s"),
+        ])  # fmt: skip
+    used = [*here.values(), *training.values(), *gyms.values()]
+    cores = several(x["device"]["cpu_cores"] for x in used)
+    note = f"Control steps per second with random actions, resets included, and the batch's size; {cores} cores."
+    if gyms:
+        note += (
+            f" {NAMES[THEIRS]} on {several(x['machine'] for x in gyms.values())}, one process a core; its ratio to C MuJoCo is of steps "
+            f"per second of CPU time on that machine."
+        )
+    return grid(rows, used, note)
+
+
+def summary(folder: Path = RESULTS) -> str:
+    """The same for README: tasks beside each other, the smallest batch."""
+    here, _, gyms = _speeds("speed", folder)
+    counts = sorted({count for _, _, count in here})
+    if not counts:
+        return NOTHING
+    rows = [["", *TASKS]]
+    for impl in (NATIVE, MJX):
+        rows.append([NAMES[impl], *(_value(here, f"{t}Jaco-v0", impl, counts[0]) for t in TASKS)])
+    if gyms:
+        gym = [gyms.get(f"{task}Jaco-v0") for task in TASKS]
+        rows.append([NAMES[THEIRS], *(f"{x['steps_per_s']:,}" if x else "" for x in gym)])
+    used = [*(x for (_, _, count), x in here.items() if count == counts[0]), *gyms.values()]
+    cores = several(x["device"]["cpu_cores"] for x in used)
+    note = f"Steps per second with Jaco, {counts[0]} environments, {cores} cores;"
+    return grid(rows, used, note)
+
+
+def laptop(folder: Path = RESULTS) -> str:
+    """What the demo and a quarter of an hour of training come to, over their seeds."""
+    lines = read_results("laptop", ("what", "env", "minutes", "seed"), folder)
+    groups: dict[tuple, list[Line]] = {}
+    for line in lines:
+        groups.setdefault((line["what"], line["env"], line["minutes"]), []).append(line)
+    if not groups:
+        return NOTHING
+
+    def share(lines: Sequence[Line], name: str) -> str:
+        found = [x[name] for x in lines]
+        return f"{iqm(found):.0%} ({min(found):.0%} to {max(found):.0%})"
+
+    def until(lines: Sequence[Line]) -> str:
+        times = [x["seconds_to_90"] for x in lines]
+        reached = sorted(x for x in times if x is not None)
+        if not reached:
+            return "none"
+        span = f"{reached[0] / 60:.1f} to {reached[-1] / 60:.1f} min"
+        return f"{len(reached)} of {len(times)}, after {span}"
+
+    columns: dict[str, Callable[[Sequence[Line]], str]] = {
+        "run": lambda x: "demo" if x[0]["what"] == "demo" else f"{x[0]['minutes']:.0f} minutes",
+        "environment": lambda x: x[0]["env"],
+        "seeds": lambda x: str(len(x)),
+        "all in": lambda x: f"{max(line['seconds'] for line in x) / 60:.1f} min",
+        "steps": lambda x: f"{iqm([line['env_steps'] for line in x]) / 1e6:.1f} M",
+        "steps/s": lambda x: f"{iqm([line['steps_per_s'] for line in x]):,.0f}",
+        "success, sampled": lambda x: share(x, "success_sampled"),
+        "success, mode": lambda x: share(x, "success"),
+        "90 % while training": until,
+    }
+    body = [[cell(x) for cell in columns.values()] for x in groups.values()]
+    cores = several(x["device"]["cpu_cores"] for x in lines)
+    note = f"Interquartile mean (range) over the seeds, of {several(x['episodes'] for x in lines)} episodes each; {cores} cores;"
+    return grid([list(columns), *body], lines, note)

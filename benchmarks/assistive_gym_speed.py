@@ -1,9 +1,9 @@
 """Control steps per second of Assistive Gym v0.1 on its own engine, with random actions, resets included.
 
-    python benchmarks/assistive_gym_speed.py ScratchItchJaco-v0 --processes 2 --machine NAME --json benchmarks/results/cpu.jsonl
+    python -m benchmarks.assistive_gym_speed ScratchItchJaco-v0 --processes 2 --machine NAME --json benchmarks/results/cpu.jsonl
 
 Run it with the Python in which Assistive Gym was built (CONTRIBUTING.md says how) and its folder on the Python path; of
-agym_jax it needs this folder alone. Assistive Gym runs one environment in a process, so there is a process for each core.
+agym_jax it needs this folder alone, from whose parent it is run. Assistive Gym runs one environment in a process, so there is a process for each core.
 ``--machine`` is as in ``benchmarks.cpu``, so that both are compared.
 """
 
@@ -13,15 +13,13 @@ import argparse
 import json
 import multiprocessing
 import os
-import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-from in_assistive_gym import EPISODE_LENGTH, make_env, parse, reset
+from benchmarks.in_assistive_gym import EPISODE_LENGTH, make_env, parse, reset
 
 
 def episodes(task: str, robot: str, count: int, seed: int) -> tuple[float, float, float]:

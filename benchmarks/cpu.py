@@ -11,7 +11,7 @@ Everything runs on the cores that this process may use, and each figure comes fr
   One environment is stepped as people do who look at it, through Gymnasium, on C MuJoCo.
 
 ``cpu_steps_per_s`` is steps per second of CPU time, on all cores together: other programs change it less than the time that
-passes. Assistive Gym's own speed is measured by ``benchmarks/assistive_gym_speed.py``.
+passes. Assistive Gym's own speed is measured by ``benchmarks.assistive_gym_speed``.
 """
 
 from __future__ import annotations

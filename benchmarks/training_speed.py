@@ -52,11 +52,13 @@ class TrainingSpeedConfig:
 def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[str, Any]:
     """Train for a while; returns the fields of the result line."""
     env = make_env(config.env_name, config.impl)
+    platform = jax.default_backend()
     if learners == 2:
-        both = config_for(env.name, CoopConfig)
+        both = config_for(env.name, CoopConfig, platform)
         result = coop.train(env, _settings(both, config, devices), for_terminal())
     else:
-        joint = dataclasses.replace(config_for(env.name, PPOConfig), allow_joint_observation=True)
+        joint = config_for(env.name, PPOConfig, platform)
+        joint = dataclasses.replace(joint, allow_joint_observation=True)
         result = ppo.train(env, _settings(joint, config, devices), for_terminal())
     speeds = [row["steps_per_second"] for row in result.curve[1:]]
     return {

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import tyro
 
 from .errors import ConfigError, check_save_dir
-from .task_changes import TASK_CHANGES
+from .task_changes import CPU_CHANGES, TASK_CHANGES
 
 POSITIVE = ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling")
 NOT_NEGATIVE = (
@@ -276,15 +276,18 @@ LEAST_SAMPLES = 80
 """Of a mini-batch, when ``num_mini_batch`` would make smaller ones of a small batch."""
 
 
-def config_for(env_name: str, kind: type[Config] = PPOConfig) -> Config:
-    """The settings of an environment: the base with its task's changes.
+def config_for(env_name: str, kind: type[Config] = PPOConfig, platform: str = "gpu") -> Config:
+    """The settings of an environment: the base with its task's changes, and with those of a CPU.
 
     Args:
         env_name: environment id, such as ``"ScratchItchJaco-v0"``; an id of no known task gets
             the base.
         kind: whose settings.
+        platform: JAX's name of the device kind: "cpu", "gpu", "tpu".
     """
-    return dataclasses.replace(kind(), env_name=env_name, **_of(TASK_CHANGES, env_name, {}))
+    changes = _of(TASK_CHANGES, env_name, {})
+    changes = changes | (_of(CPU_CHANGES, env_name, {}) if platform == "cpu" else {})
+    return dataclasses.replace(kind(), env_name=env_name, **changes)
 
 
 def _of(table: dict[str, Any], env_name: str, otherwise: Any) -> Any:
@@ -305,9 +308,12 @@ def env_name_in(arguments: Sequence[str], default: str = PPOConfig.env_name) -> 
 
 
 def parse_arguments(
-    arguments: Sequence[str], kind: type[Config] = PPOConfig, prog: str | None = None
+    arguments: Sequence[str],
+    kind: type[Config] = PPOConfig,
+    prog: str | None = None,
+    platform: str = "gpu",
 ) -> Config:
-    """Settings from command-line words, with the defaults of the environment they name."""
+    """Settings from command-line words, with the defaults of the environment they name on a kind of device."""
     does = {
         PPOConfig: "Train a robot's policy with PPO.",
         CoopConfig: "Train robot and person side by side: two policies, one reward.",
@@ -317,7 +323,7 @@ def parse_arguments(
         prog=prog,
         description=f"{does} Rerunning the same command continues it.",
         args=list(arguments),
-        default=config_for(env_name_in(arguments, kind.env_name), kind),
+        default=config_for(env_name_in(arguments, kind.env_name), kind, platform),
     )
 
 

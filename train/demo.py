@@ -170,15 +170,12 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
     left = config.budget - (time.perf_counter() - began)
     seconds = min(config.seconds, max(LEAST_TRAINING, left))
     say(f"Training a robot from scratch: {config.num_env_steps:,} steps, {seconds:.0f} s at most.")
-    settings = config_for(env.name)
+    settings = config_for(env.name, platform="cpu")
     changes = {
         "num_env_steps": config.num_env_steps,
         "num_envs": config.humans,
         "save_dir": str(config.out),
         "seed": config.seed,
-        "lr": 1e-3,  # a short run, of small networks
-        "policy_hidden": (256, 128),
-        "value_hidden": (256, 256),
         "log_interval": 4,
         "fresh": True,
     }

@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+import jax
 import numpy as np
 import tyro
 
@@ -194,7 +195,7 @@ def main(
     """The command line; returns the exit status."""
     flags = tyro.cli(SweepConfig, prog=prog, args=arguments, description=__doc__)
     settings = parse_grid(flags.grid, flags.random, flags.seed)
-    config = config_for(flags.env_name)
+    config = config_for(flags.env_name, platform=jax.default_backend())
     config = dataclasses.replace(
         config, seed=flags.seed, impl=flags.impl, save_dir=flags.save_dir,
         num_envs=flags.num_envs, num_env_steps=flags.num_env_steps or config.num_env_steps,

@@ -44,3 +44,10 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "ArmManipulation": _TOUCH | {"gamma": 0.995, "gae_lambda": 0.95, "entropy_coef": 0.01},
     "Reaching": _TOUCH | {"lr": 3e-4},
 }
+
+# What a CPU changes besides: there, a step of learning with large networks takes longer than a step of the environment.
+_SMALL: dict[str, Any] = {"policy_hidden": (128, 128), "value_hidden": (128, 128)}
+CPU_CHANGES: dict[str, dict[str, Any]] = {
+    "": _SMALL,
+    "ScratchItchJaco": _SMALL | {"lr": 1e-3},
+}

@@ -121,12 +121,16 @@ class NativeRows:
         split = np.asarray(self._split(slot.fill(keys)))[: len(keys)]
         return split[:, 0], split[:, 1]
 
-    def reset(self, slot: Slot, keys: np.ndarray) -> dict[str, Any]:
+    def reset(
+        self, slot: Slot, keys: np.ndarray, rows: np.ndarray | None = None, beside: Any = None
+    ) -> dict[str, Any]:
         """Begin episodes.
 
         Args:
             slot: that takes them.
             keys: raw PRNG keys (n, 2), n at most the slot's.
+            rows: of the slot, in which they begin (n,); by default the first ones.
+            beside: with ``rows``, the episodes that all rows have been in: the others stay written in the slot.
 
         Returns:
             Fields of ``State`` (n, ...), without what a finished step leaves.
@@ -137,17 +141,29 @@ class NativeRows:
             self._stages.make_episode(jax.tree.map(lambda x, i=i: x[i], drawn)) for i in range(n)
         ]
         episode = jax.tree.map(lambda *x: np.stack(x), *each)
-        whole = jax.tree.map(slot.fill, episode)
+        if rows is None:
+            rows, whole = np.arange(n), jax.tree.map(slot.fill, episode)
+        else:
+
+            def placed(old: Any, new: Any) -> np.ndarray:
+                whole = np.array(slot.fill(np.asarray(old)))
+                whole[rows] = new[:n]
+                return whole
+
+            key_task = placed(key_task, key_task)
+            whole = jax.tree.map(placed, beside, episode)
         self._prepare(slot.rows, key_task, whole)
-        slot.load(episode, slice(0, n))
-        numbers = slot.reset(np.ones(n, bool))
-        seen, success = jax.device_get(self._init_task(key_task, slot.fill(numbers), whole))
+        slot.load(whole, slice(0, slot.rows))
+        begins = np.zeros(slot.rows, bool)
+        begins[rows] = True
+        numbers = slot.reset(begins)
+        seen, success = jax.device_get(self._init_task(key_task, numbers, whole))
         zero = np.zeros(n, np.float32)
-        metrics = dict.fromkeys(self._metric_names, zero) | {"success": success[:n]}
+        metrics = dict.fromkeys(self._metric_names, zero) | {"success": success[rows]}
         fields = {"reward": zero, "done": zero, "metrics": metrics, "episode": episode}
         fields |= {"regions": jax.tree.map(lambda x: np.zeros((n, *x.shape), x.dtype), no_forces())}
-        fields |= jax.tree.map(lambda x: x[:n], seen | {"key": key})
-        return fields | {"data": NativeData(numbers, self.physics.layout)}
+        fields |= jax.tree.map(lambda x: x[rows], seen) | {"key": key[:n]}
+        return fields | {"data": NativeData(numbers[rows], self.physics.layout)}
 
     def step(self, slot: Slot, state: State, part: slice, action: np.ndarray) -> dict[str, Any]:
         """One control step.

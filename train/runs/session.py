@@ -276,6 +276,7 @@ def command_line(
         if config.save_dir is not None:  # before the environment is built, which takes seconds
             check_writable(Path(config.save_dir))
         join_hosts(config.hosts)
+        config = parse_arguments(words, kind, prog, jax.default_backend())  # JAX knows it only now
         env = make(config.env_name, config.impl)
         result = train(env, config, for_terminal())
     except AgymError as error:

@@ -31,7 +31,7 @@ from agym_jax.sim.episode import model_fields
 from agym_jax.sim.native_drive import FORCES, DriveProgram, afterwards
 from agym_jax.sim.scene import Scene
 from agym_jax.sim.sensing import ContactSums, motion_of, read_contacts, sample_poses, total_contacts
-from agym_jax.state import Episode
+from agym_jax.state import Episode, strong
 
 ROWS = (32, 32)
 """Of the slot of a single environment, and of those of a batch, unless the task has its own ``cpu_rows``. More spare calls;
@@ -145,7 +145,7 @@ class NativePhysics:
 
         def written(people: People) -> tuple[dict[str, Array], Muscles]:
             muscles = controller.muscles(people.human)
-            return model_fields(scene, scene.model, people, muscles), muscles
+            return strong((model_fields(scene, scene.model, people, muscles), muscles))
 
         self.written = jax.jit(jax.vmap(written), compiler_options=QUICKLY)
         self.drive = DriveProgram(controller, self.model)

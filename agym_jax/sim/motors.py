@@ -33,6 +33,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -134,7 +135,9 @@ class Motors:
         """The joints' part of the inertia matrix, however the physics keeps it [kg m2] (n, n)."""
         return self.block.read(matrix, xp)
 
-    def drive(self, inertia: Any, bias: Any, q: Any, v: Any, aim: Aim, xp: Any = jnp) -> Drive:
+    def drive(
+        self, inertia: Any, bias: Any, q: Any, v: Any, aim: Aim, xp: Any = jnp, rolled: bool = False
+    ) -> Drive:
         """What to do in the next physics step.
 
         Args:
@@ -144,6 +147,7 @@ class Motors:
             v: their velocities [rad/s] (n,).
             aim: what the motors are to do.
             xp: numpy or jax.numpy.
+            rolled: see ``guess``.
         """
         wanted = xp.where(aim.bound > 0.0, aim.rate * (aim.angles - q), v)
         way = xp.sign(wanted)
@@ -155,11 +159,14 @@ class Motors:
         damper = xp.where(still, 0.0, damper)
         damping = self.damping if aim.damping is None else aim.damping
         torque = inertia @ (v - start) / self.time_step - damping * (v - start)
-        guess = self.guess(inertia, torque - damping * start - bias, -damper * start, aim.bound, xp)
+        alone = torque - damping * start - bias
+        guess = self.guess(inertia, alone, -damper * start, aim.bound, xp, rolled)
         solref = xp.stack([0.0 * damper, -damper * self.impedance], -1)
         return Drive(start, torque, solref, guess, aim.bound)
 
-    def guess(self, inertia: Any, torque: Any, wanted: Any, bounds: Any, xp: Any = jnp) -> Any:
+    def guess(
+        self, inertia: Any, torque: Any, wanted: Any, bounds: Any, xp: Any = jnp, rolled: bool = False
+    ) -> Any:
         """Accelerations of the joints if nothing but the motors changes [rad/s2] (n,).
 
         The acceleration of the last physics step tells nothing of this one's, which begins at another velocity: from
@@ -174,17 +181,26 @@ class Motors:
             wanted: acceleration that the motors ask for [rad/s2] (n,).
             bounds: of the motors' torques [N m] () or (n,).
             xp: numpy or jax.numpy.
+            rolled: whether the sweeps are compiled as a loop, which takes XLA a fraction of the time; GPUs run a loop slowly.
         """
         inertia = xp.where(xp.any(inertia != 0.0), inertia, np.diag(self.mass))
         mobility = 1.0 / xp.sum(abs(inertia), axis=-1)
         stiffness = 1.0 / (self.softness + mobility)
-        guess = before = wanted
-        for onward in MOMENTA:
+
+        def sweep(last: tuple[Any, Any], onward: Any) -> tuple[tuple[Any, Any], None]:
+            before, guess = last
             ahead = guess + onward * (guess - before)
             free = ahead - mobility * (inertia @ ahead - torque)
             motor = xp.clip(stiffness * (wanted - free), -bounds, bounds)
-            before, guess = guess, free + mobility * motor
-        return guess
+            return (guess, free + mobility * motor), None
+
+        last = wanted, wanted
+        if rolled:
+            last, _ = jax.lax.scan(sweep, last, np.array(MOMENTA, np.float32))
+        else:
+            for onward in MOMENTA:
+                last, _ = sweep(last, onward)
+        return last[1]
 
     def bias(
         self, drive: Drive, smooth: Any, constraint: Any, acceleration: Any, xp: Any = jnp

@@ -134,7 +134,8 @@ class DriveProgram:
         @jax.vmap
         def drive_robot(matrix: Array, load: Array, q: Array, v: Array, goal: Array) -> Drive:
             motors = controller.motors
-            return motors.drive(motors.inertia(matrix), load, q, v, controller.aim(goal))
+            aim = controller.aim(goal)
+            return motors.drive(motors.inertia(matrix), load, q, v, aim, rolled=True)
 
         @jax.vmap
         def drive_human(
@@ -142,7 +143,7 @@ class DriveProgram:
         ) -> Drive:
             motors = controller.human_motors
             aim = Aim(target, muscles.rate, muscles.bound, muscles.damping)
-            return motors.drive(motors.inertia(matrix), load, q, v, aim)
+            return motors.drive(motors.inertia(matrix), load, q, v, aim, rolled=True)
 
         whole = [qvel, jnp.zeros_like(qvel), jnp.zeros_like(qvel)]
         solref = jnp.broadcast_to(self._solref, (len(qvel), *self._solref.shape))

@@ -92,9 +92,18 @@ def test_a_share_of_the_run_is_one(share):
 
 def test_every_task_of_the_table_has_settings_that_work():
     for task in TASK_CHANGES:
-        config = config_for(f"{task}Jaco-v0")
         for platform in ("cpu", "gpu"):
+            config = config_for(f"{task}Jaco-v0", platform=platform)
             assert resolve(config, platform).num_envs > 0
+
+
+def test_networks_are_smaller_on_a_cpu_unless_others_are_asked_for():
+    words = ["--env-name", "FeedingJaco-v0", "--lr", "0.5"]
+    here, there = (parse_arguments(words, platform=x) for x in ("cpu", "gpu"))
+    assert sum(here.policy_hidden) < sum(there.policy_hidden)
+    assert (here.lr, here.gamma) == (there.lr, there.gamma) == (0.5, 0.99)
+    mine = parse_arguments([*words, "--policy-hidden", "32", "16"], platform="cpu")
+    assert mine.policy_hidden == (32, 16)
 
 
 @pytest.mark.parametrize("task", TASK_CHANGES)

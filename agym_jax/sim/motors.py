@@ -165,7 +165,13 @@ class Motors:
         return Drive(start, torque, solref, guess, aim.bound)
 
     def guess(
-        self, inertia: Any, torque: Any, wanted: Any, bounds: Any, xp: Any = jnp, rolled: bool = False
+        self,
+        inertia: Any,
+        torque: Any,
+        wanted: Any,
+        bounds: Any,
+        xp: Any = jnp,
+        rolled: bool = False,
     ) -> Any:
         """Accelerations of the joints if nothing but the motors changes [rad/s2] (n,).
 

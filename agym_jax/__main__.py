@@ -28,6 +28,7 @@ COMMANDS = {
     "coop": (f"{TRAINER}.coop", "train robot and person side by side"),
     "evaluate": (f"{TRAINER}.evaluate", "measure a policy over many episodes"),
     "enjoy": (f"{TRAINER}.enjoy", "watch a policy: a film, pictures, or MuJoCo's viewer"),
+    "view": ("agym_jax.viewer.command", "see and drive an episode in the browser"),
     "crossplay": (f"{TRAINER}.crossplay", "measure every robot's policy with every person's"),
     "select": (f"{TRAINER}.select", "choose the seed of a run to use, over people of its own"),
     "compare": (f"{TRAINER}.compare", "tell whether one setting is better than another, over seeds"),

@@ -14,7 +14,7 @@ from jax import Array
 from agym_jax.human.regions import no_forces
 from agym_jax.jax_settings import full_precision
 from agym_jax.sim.c_mujoco import QUICKLY, NativeData, NativePhysics, Slot, people_of
-from agym_jax.sim.episode import make_episode
+from agym_jax.sim.episode import EpisodeSample, make_episode
 from agym_jax.state import Episode, State, moved, raw_key
 
 
@@ -47,6 +47,8 @@ class NativeRows:
     ):
         self.physics, self._stages, self._metric_names = physics, stages, metric_names
         self._action_size = action_size
+        self.revise: Callable[[EpisodeSample], EpisodeSample] | None = None
+        """What becomes of what was drawn before its episode begins, in NumPy; for people whom a user chooses."""
         whole = lambda f, **how: jax.jit(jax.vmap(full_precision(f)), **how)  # noqa: E731
         self._sample = whole(stages.sample, compiler_options=QUICKLY)
         self._preparing: dict[int, Thread] = {}
@@ -137,9 +139,7 @@ class NativeRows:
         """
         n = len(keys)
         drawn, key_task, key = jax.device_get(self._sample(slot.fill(keys)))
-        each = [
-            self._stages.make_episode(jax.tree.map(lambda x, i=i: x[i], drawn)) for i in range(n)
-        ]
+        each = [self._make_episode(jax.tree.map(lambda x, i=i: x[i], drawn)) for i in range(n)]
         episode = jax.tree.map(lambda *x: np.stack(x), *each)
         if rows is None:
             rows, whole = np.arange(n), jax.tree.map(slot.fill, episode)
@@ -164,6 +164,9 @@ class NativeRows:
         fields |= {"regions": jax.tree.map(lambda x: np.zeros((n, *x.shape), x.dtype), no_forces())}
         fields |= jax.tree.map(lambda x: x[rows], seen) | {"key": key[:n]}
         return fields | {"data": NativeData(numbers[rows], self.physics.layout)}
+
+    def _make_episode(self, drawn: EpisodeSample) -> Episode:
+        return self._stages.make_episode(self.revise(drawn) if self.revise else drawn)
 
     def step(self, slot: Slot, state: State, part: slice, action: np.ndarray) -> dict[str, Any]:
         """One control step.

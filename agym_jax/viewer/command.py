@@ -1,0 +1,225 @@
+"""``agym-jax view ID``: an episode in the browser, or one kept as a page (``--export``)."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib.util
+import socket
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from agym_jax.errors import (
+    AgymError,
+    ArgumentError,
+    MissingExtraError,
+    PolicyNotFoundError,
+    checked_count,
+)
+
+if TYPE_CHECKING:
+    from agym_jax.policy.files import PolicyFiles
+    from agym_jax.viewer.picture import Picture
+    from agym_jax.viewer.stage import Stage
+
+Say = Callable[[str], None]
+MOST = 64  # environments side by side
+
+
+def parser(prog: str) -> argparse.ArgumentParser:
+    """The flags."""
+    out = argparse.ArgumentParser(
+        prog=prog, description="Watch an episode in the browser, drive it by hand, or keep it as a page."
+    )  # fmt: skip
+    out.add_argument("id", help="environment id, such as ScratchItchJaco-v0")
+    out.add_argument(
+        "--policy", help="a policy file, or zero or random; without it the shipped one"
+    )
+    out.add_argument("--human-policy", help="the same for a person who acts")
+    out.add_argument("--load-dir", help="--save-dir of a training run, whose policy is meant")
+    out.add_argument("--seed", type=int, default=1001, help="of the first episode (1001)")
+    out.add_argument("--grid", type=int, default=1, metavar="N", help="people side by side (1)")
+    out.add_argument("--visuals", default="primitives", help="of the robot: primitives or meshes")
+    out.add_argument("--host", default="127.0.0.1", help="address to serve at (127.0.0.1)")
+    out.add_argument("--port", type=int, default=8080, help="port to serve at (8080)")
+    out.add_argument(
+        "--export", type=Path, metavar="PAGE", help="write an episode as a page, .html"
+    )
+    out.add_argument("--steps", type=int, help="with --export: control steps, if not all")
+    return out
+
+
+def check(config: argparse.Namespace) -> None:
+    """Refuse what cannot be shown, before anything is built.
+
+    Raises:
+        MissingExtraError: viser is not installed.
+        UnknownNameError: there is no such environment, or there are no such visuals.
+        ArgumentError: a number or a file that makes no sense, or a port that is in use.
+        SaveFolderError: the page's folder cannot be written to.
+    """
+    from agym_jax.data.npz import check_writable
+    from agym_jax.registry import parse
+    from agym_jax.rendering.meshes import check_visuals
+
+    if not importlib.util.find_spec("viser"):
+        raise MissingExtraError('The viewer needs viser: pip install "agym_jax[view]"')
+    recipe = parse(config.id)
+    check_visuals(config.visuals, recipe.robot)
+    checked_count("--grid", config.grid)
+    if config.grid > MOST:
+        raise ArgumentError(f"--grid {config.grid} is more than a browser draws; at most {MOST}.")
+    if not 0 <= config.seed < 2**31:
+        raise ArgumentError(f"--seed must be from 0 to 2147483647, got {config.seed}.")
+    if config.steps is not None:
+        checked_count("--steps", config.steps)
+        if config.export is None:
+            raise ArgumentError("--steps goes with --export PAGE.")
+    if config.export is None:
+        check_port(config.host, config.port)
+        return
+    if config.export.suffix.lower() != ".html" or config.export.is_dir():
+        raise ArgumentError(f"Cannot write {str(config.export)!r}: the name must end in .html.")
+    check_writable(config.export.absolute().parent, "Choose another file.")
+
+
+def check_port(host: str, port: int) -> None:
+    """Refuse a port that cannot be served at.
+
+    Raises:
+        ArgumentError: it is in use, or there is no such port or address.
+    """
+    if not 0 <= port < 2**16:
+        raise ArgumentError(f"--port must be from 0 to 65535 (0: any that is free), got {port}.")
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise ArgumentError(
+                f"Cannot serve at {host}:{port} ({error.strerror}). Another viewer may run there: choose another port, "
+                f"such as --port {port + 1}, or --port 0 for any that is free."
+            ) from error
+
+
+def main(argv: Sequence[str] | None = None, prog: str = "agym-jax view") -> int:
+    """The command line; returns the exit status."""
+    config = parser(prog).parse_args(argv)
+    try:
+        check(config)
+        run(config)
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+def run(config: argparse.Namespace) -> None:
+    """Serve or write the page; returns when it is written, or by a KeyboardInterrupt.
+
+    Raises:
+        AgymError: a policy that does not exist or does not fit.
+    """
+    began = time.perf_counter()
+
+    def say(text: str) -> None:
+        print(f"[{time.perf_counter() - began:4.1f} s] {text}", flush=True)
+
+    import jax
+
+    jax.config.update("jax_platforms", "cpu")  # one environment: an accelerator would be slower
+    import agym_jax
+    from agym_jax.viewer.picture import Picture
+    from agym_jax.viewer.serve import close_server, open_server
+
+    files = policy_files(config, say)
+    env = agym_jax.make(config.id, impl="native")
+    server = open_server(env.name, config.host, 0 if config.export else config.port)
+    try:
+        (export if config.export else serve)(config, env, files, Picture(server), say)
+    finally:
+        close_server(server)
+
+
+def begin(config: argparse.Namespace, env: Any, files: PolicyFiles | None, say: Say) -> Stage:
+    """The environments, in which an episode begins.
+
+    Raises:
+        AgymError: a policy that does not fit.
+    """
+    from agym_jax.policy.files import load_policies
+    from agym_jax.viewer.drive import Driver
+    from agym_jax.viewer.stage import Stage
+
+    policy = load_policies(files, env) if files else None
+    say("Preparing the first episode; what was never shown here is compiled first.")
+    stage = Stage(env, Driver(env, policy), config.grid, config.visuals)
+    stage.begin(config.seed)
+    return stage
+
+
+def export(
+    config: argparse.Namespace, env: Any, files: PolicyFiles | None, picture: Picture, say: Say
+) -> None:
+    """Write an episode as a page."""
+    from agym_jax.viewer.replay import write_replay
+
+    stage = begin(config, env, files, say)
+    say(f"Playing {config.steps or env.episode_length} steps.")
+    size = write_replay(stage, picture, config.steps, config.export)
+    say(f"Page: {config.export} ({size / 1e6:.1f} MB); it opens without a server.")
+
+
+def serve(
+    config: argparse.Namespace, env: Any, files: PolicyFiles | None, picture: Picture, say: Say
+) -> None:
+    """Serve the page until a KeyboardInterrupt."""
+    from agym_jax.viewer.page import Page
+    from agym_jax.viewer.stage import preview
+
+    server = picture.server
+    place, moment = preview(env, config.visuals)
+    picture.show([place], moment)
+    picture.aim("front")
+    note = server.gui.add_markdown("Preparing the first episode ...")
+    say(f"Serving at http://{config.host}:{server.get_port()} (Ctrl+C ends it).")
+    stage = begin(config, env, files, say)
+    note.remove()
+    page = Page(stage, picture)
+    say("Ready.")
+    page.run()
+
+
+def policy_files(config: argparse.Namespace, say: Say) -> PolicyFiles | None:
+    """Whose policies drive; None if none was asked for and none is shipped.
+
+    A robot's policy for a person who holds still serves where the person acts, who then does nothing.
+
+    Raises:
+        AgymError: one that was asked for does not exist.
+    """
+    from agym_jax.policy.files import PolicyFiles, find_policies
+    from agym_jax.registry import parse, static_id
+
+    recipe = parse(config.id)
+    name, still = recipe.name, static_id(recipe.name)
+    asked = config.policy or config.load_dir or config.human_policy
+    try:
+        files = find_policies(name, config.load_dir, config.policy, config.human_policy)
+        alone = recipe.active and files.human is None and config.policy
+        return PolicyFiles(files.robot, "zero") if alone else files
+    except PolicyNotFoundError:
+        if asked:
+            raise
+    if recipe.active:
+        with contextlib.suppress(PolicyNotFoundError):
+            files = PolicyFiles(find_policies(still).robot, "zero")
+            say(f"No policies are shipped for {name}: the robot's is that of {still}, the person does nothing.")  # fmt: skip
+            return files
+    say(f"No policy is shipped for {name}: nobody acts until you choose who drives.")
+    return None

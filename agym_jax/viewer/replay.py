@@ -1,0 +1,46 @@
+"""An episode as one page that opens without a server: the picture of every step, and viser's player."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agym_jax.viewer.picture import Picture
+from agym_jax.viewer.stage import Stage
+
+BETWEEN = 2
+"""Frames of a control step; gowns are large, and have one."""
+END = 1.0  # how long the last frame stays [s]
+
+
+def write_replay(
+    stage: Stage,
+    picture: Picture,
+    steps: int | None,
+    file: Path,
+) -> int:
+    """Play an episode that has begun and write it; returns the size of the file in bytes.
+
+    Args:
+        stage: with the environments.
+        picture: that is recorded.
+        steps: how many; None for all.
+        file: to write.
+    """
+    now, drawn = stage.moment(), stage.drawn
+    picture.show(stage.places(), now, drawn.marks, drawn.surfaces)
+    picture.aim("all" if stage.count > 1 else "front")
+    record = picture.server.get_scene_serializer()
+    frames = 1 if drawn.surfaces else BETWEEN
+    for _ in range(steps or stage.env.episode_length):
+        stage.step()
+        before, now = now, stage.moment()
+        for i in range(frames):
+            picture.move(before.towards(now, (i + 1) / frames))
+            record.insert_sleep(stage.env.dt / frames)
+        picture.forces(stage.forces.forces)
+        if stage.over:
+            break
+    record.insert_sleep(END)
+    page = record.as_html()
+    file.write_text(page, encoding="utf-8")
+    return len(page.encode())

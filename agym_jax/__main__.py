@@ -16,6 +16,7 @@ from types import ModuleType
 
 import agym_jax
 from agym_jax.errors import AgymError, MissingAssetError, UnknownNameError
+from agym_jax.interrupts import INTERRUPTED, leave_quietly, raise_again
 
 TRAINER = "agym_jax.train"
 
@@ -62,12 +63,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     if "" not in sys.path:  # an id may name a module in the current folder; last: it hides no other
         sys.path.append("")
+    if argv is None:  # we are the program; importing takes seconds
+        leave_quietly()
     try:
         run = find(name)
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
-    return run(words[1:], prog=f"{prog} {name}")
+    if not run.__module__.startswith(TRAINER):
+        raise_again()  # the trainer does when it begins
+    try:
+        return run(words[1:], prog=f"{prog} {name}")
+    except KeyboardInterrupt:
+        return INTERRUPTED
 
 
 def program_name(path: str) -> str:

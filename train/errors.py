@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import ParamSpec
 
 from agym_jax.errors import AgymError
+from agym_jax.interrupts import INTERRUPTED, raise_again
 
 P = ParamSpec("P")
 
@@ -29,7 +30,11 @@ class CheckpointMismatchError(AgymError, ValueError):
 
 
 class CheckpointWarning(UserWarning):
-    """A checkpoint was skipped because it is damaged."""
+    """A checkpoint was skipped because it is damaged, or a run cannot be locked."""
+
+
+class RunInUseError(AgymError, RuntimeError):
+    """The folder of a run in which another process is training."""
 
 
 def check_save_dir(save_dir: str | None) -> None:
@@ -50,12 +55,13 @@ def reports_errors(main: Callable[P, int]) -> Callable[P, int]:
 
     @functools.wraps(main)
     def run(*args: P.args, **kwargs: P.kwargs) -> int:
+        raise_again()
         try:
             return main(*args, **kwargs)
         except AgymError as error:
             print(f"{type(error).__name__}: {error}", file=sys.stderr)
             return 2
         except KeyboardInterrupt:
-            return 130
+            return INTERRUPTED
 
     return run

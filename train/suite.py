@@ -28,6 +28,7 @@ import tyro
 import agym_jax
 from agym_jax.data.npz import check_writable, write_file
 from agym_jax.errors import AgymError, UnknownNameError, checked_count
+from agym_jax.interrupts import raise_again
 from agym_jax.registry import parse
 
 from .configs import Count, config_for, parse_count
@@ -333,6 +334,7 @@ def main(
     program: tuple[str, ...] | None = None,
 ) -> int:
     """The command line; returns the exit status."""
+    raise_again()
     try:
         config = tyro.cli(SuiteConfig, prog=prog, args=arguments, description=__doc__)
         ids = suite_ids(config.only)

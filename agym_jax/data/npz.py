@@ -27,6 +27,8 @@ from agym_jax.errors import AgymError, DamagedFileError, SaveFolderError
 
 META = "__meta__"
 DIGEST = "__sha256__"
+PART = ".part"
+"""End of the name of a file that is being written."""
 PROVENANCE = "provenance"
 Shape = tuple[int | str, ...]
 """Of an array; a word stands for a length of at least 1, the same wherever the word is used."""
@@ -160,7 +162,7 @@ def write_file(path: Path, content: bytes) -> None:
         path: file to write; its folder exists.
         content: all of it.
     """
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=PART)
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
@@ -177,6 +179,12 @@ def write_file(path: Path, content: bytes) -> None:
         os.fsync(folder)
     finally:
         os.close(folder)
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove what ``write_file`` leaves in a folder, or below it, when it is killed; nobody else may be writing there."""
+    for part in folder.rglob(f".*{PART}"):
+        part.unlink(missing_ok=True)
 
 
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> None:
@@ -231,7 +239,7 @@ def check_writable(folder: Path, advice: str = "Choose another with --save-dir."
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        handle, probe = tempfile.mkstemp(dir=folder, prefix=".probe.")
+        handle, probe = tempfile.mkstemp(dir=folder, prefix=".probe.", suffix=PART)
         os.close(handle)
         os.unlink(probe)
     except OSError as error:

@@ -8,9 +8,8 @@ environments are not saved: a resumed run begins with fresh episodes.
 
 from __future__ import annotations
 
-import dataclasses
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,18 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from agym_jax.data.npz import check_writable, read_npz, write_npz
+from agym_jax.data.npz import read_npz, write_npz
 from agym_jax.errors import DamagedFileError
-from agym_jax.policy.policy import Policy
 
-from ..configs import LearnConfig
 from ..errors import CheckpointMismatchError, CheckpointWarning
-from ..learning.agents import Agents
-from ..learning.seeds import Lane, SideBySide, lanes_of
-from ..learning.sharding import to_host
-from . import record
-from .curve import Row, combine_rows
-from .folder import RunFolder
 
 FORMAT = 2
 KEEP = 3
@@ -92,6 +83,10 @@ def checkpoint_files(folder: Path) -> list[Path]:
     return sorted(folder.glob("step_*.npz"), reverse=True)
 
 
+def _file(folder: Path, steps: int) -> Path:
+    return folder / f"step_{steps:012d}.npz"
+
+
 def save_checkpoint(folder: Path, learner: Any, meta: Mapping[str, Any]) -> Path:
     """Write a checkpoint and delete all but the newest few.
 
@@ -104,7 +99,7 @@ def save_checkpoint(folder: Path, learner: Any, meta: Mapping[str, Any]) -> Path
         The file.
     """
     learner = jax.device_get(learner)
-    path = folder / f"step_{steps_of(learner):012d}.npz"
+    path = _file(folder, steps_of(learner))
     write_npz(path, tree_to_arrays(learner), {"format": FORMAT, **meta})
     for old in checkpoint_files(folder)[KEEP:]:
         old.unlink(missing_ok=True)
@@ -164,13 +159,14 @@ def load_newest(folder: Path, template: Any, compatibility: Mapping[str, Any]) -
         compatibility: see ``load_checkpoint``.
 
     Returns:
-        The checkpoint, or None if there is none.
+        The checkpoint, or None if there is none in which something has been learned.
 
     Raises:
         DamagedFileError: there are checkpoints, and all are damaged.
         CheckpointMismatchError: the newest whole one belongs to something else.
     """
-    files = checkpoint_files(folder)
+    # that of step 0 only says that a run has begun, with settings that may change: nothing has been learned
+    files = [path for path in checkpoint_files(folder) if path != _file(folder, 0)]
     for path in files:
         try:
             return load_checkpoint(path, template, compatibility)
@@ -182,153 +178,3 @@ def load_newest(folder: Path, template: Any, compatibility: Mapping[str, Any]) -
             f"moves them aside."
         )
     return None
-
-
-Policies = Mapping[str, Policy]
-
-
-class CheckpointManager:
-    """Writes what is to be kept, if anything is.
-
-    Args:
-        env: the environment.
-        config: resolved settings.
-        agents: whose state it is.
-        folder: where; None keeps the curves in memory only.
-        lanes: the trainings side by side; by default those of the configuration.
-        writes: whether this host is the one that writes; all of them read.
-
-    Attributes:
-        lanes: the trainings side by side.
-        curves: of each lane, rows of all sessions.
-        combined: rows for all lanes together; with one lane, its curve.
-        stopped: name of a lane -> why it was stopped.
-        seconds: that earlier sessions trained.
-    """
-
-    def __init__(
-        self,
-        env: Any,
-        config: LearnConfig,
-        agents: Agents | SideBySide,
-        folder: RunFolder | None,
-        lanes: Sequence[Lane] | None = None,
-        writes: bool = True,
-    ) -> None:
-        self._env, self._config, self._agents = env, config, agents
-        self._source, self._folder = folder, folder if writes else None
-        self.lanes = list(lanes or lanes_of(config))
-        self.curves: list[list[Row]] = [[] for _ in self.lanes]
-        self.combined: list[Row] = self.curves[0] if len(self.lanes) == 1 else []
-        self.stopped: dict[str, str] = {}
-        self.seconds = 0.0
-        self._compatibility = {
-            "trainer": agents.trainer,
-            "env": env.name,
-            "layout": env.layout_version,
-            **agents.compatibility(),
-        }
-        self._info = {
-            "env": env.name,
-            "commit": record.commit(),
-            "versions": record.versions(),
-            "algorithm": agents.trainer,
-        }
-
-    def _folders(self) -> list[RunFolder]:
-        """Folder of the policies and the curve of each lane; none if nothing is written."""
-        if not self._folder:
-            return []
-        if len(self.lanes) == 1:
-            return [self._folder]
-        return [self._folder.of_lane(lane.name) for lane in self.lanes]
-
-    def resume(self, learner: Any) -> tuple[Any, Mapping[str, Any] | None]:
-        """The learner to begin with, and what the newest sound checkpoint says, if there is one.
-
-        Args:
-            learner: a new one; where there is no checkpoint it is returned.
-
-        Raises:
-            CheckpointMismatchError: the folder holds a run of something else.
-        """
-        if not self._source:
-            return learner, None
-        found = load_newest(self._source.checkpoints, learner, self._compatibility)
-        if not found:
-            return learner, None
-        meta = found.meta
-        self.combined, self.seconds = meta["curve"], meta["seconds"]
-        self.curves = meta.get("curves") or [self.combined]
-        self.stopped = dict(meta.get("stopped", {}))
-        return found.learner, meta
-
-    def begin(self, first_steps: int) -> None:
-        """Write down the settings, and the curves as far as they are valid."""
-        if self._folder:
-            for folder, curve in zip(self._folders(), self.curves, strict=True):
-                check_writable(folder.path)
-                folder.write_curve(curve)
-            self._folder.write_curve(self.combined)
-            self._folder.write_config(
-                self._config,
-                resumed_from_step=first_steps or None,
-                impl=str(getattr(self._env, "impl", self._config.impl)),
-            )
-
-    def add(self, rows: Mapping[int, Row]) -> Row:
-        """Keep a row of the curve of each lane (by its index) that still learns; returns the one for all."""
-        row = rows[0] if len(self.lanes) == 1 else combine_rows(list(rows.values()))
-        folders = self._folders()
-        for index, own in rows.items():
-            self.curves[index].append(own)
-            if folders:
-                folders[index].add_row(own)
-        if len(self.lanes) > 1:
-            self.combined.append(row)
-            if self._folder:
-                self._folder.add_row(row)
-        return row
-
-    def policies(self, learner: Any) -> list[Policies]:
-        """The policies of a learner by agent, for each lane."""
-        learners = self._agents.of_seeds(to_host(learner))
-        return [
-            self._agents.policies(own, {**self._info, "seed": lane.seed})
-            for lane, own in zip(self.lanes, learners, strict=True)
-        ]
-
-    def save(self, learner: Any, seconds: float) -> None:
-        """A checkpoint, and the policies beside it.
-
-        Args:
-            learner: state to keep.
-            seconds: that this session has trained.
-        """
-        if self._folder:
-            meta = {
-                "compatibility": self._compatibility,
-                "curve": self.combined,
-                "seconds": self.seconds + seconds,
-                "config": dataclasses.asdict(self._config),
-            }
-            if len(self.lanes) > 1:
-                meta |= {"curves": self.curves, "stopped": self.stopped}
-            save_checkpoint(self._folder.checkpoints, learner, meta)
-            self._save_policies(self.policies(learner))
-
-    def _save_policies(self, policies: list[Policies]) -> None:
-        for folder, own in zip(self._folders(), policies, strict=True):
-            folder.save_policies(own)
-
-    def finish(self, learner: Any) -> list[Policies]:
-        """Save policies and picture; returns the policies by agent, for each lane."""
-        policies = self.policies(learner)
-        if self._folder:
-            self._save_policies(policies)
-            of = f"seed {self.lanes[0].seed}"
-            if len(self.lanes) > 1:
-                of = f"{self.lanes[0].name} to {self.lanes[-1].name}"
-            title = f"{self._env.name}, {self._agents.trainer}, {of}"
-            self._folder.draw(self.combined, title)
-        return policies

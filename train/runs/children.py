@@ -12,6 +12,7 @@ from threading import RLock
 from typing import IO
 
 from ..errors import ConfigError
+from .lock import try_lock
 
 _WITH_PARENT = """
 import ctypes, os, runpy, signal, sys
@@ -49,19 +50,12 @@ def claim(log: IO[str], patience: float = 60.0) -> bool:
     Returns:
         Whether it is ours; it is until the file is closed by all. On Windows, always.
     """
-    if sys.platform == "win32":
-        return True
-    import fcntl
-
     deadline = time.monotonic() + patience
-    while True:
-        try:
-            fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
-        except BlockingIOError:
-            if time.monotonic() > deadline:
-                return False
-            time.sleep(0.1)
+    while not try_lock(log):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.1)
+    return True
 
 
 class Children:

@@ -5,15 +5,18 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agym_jax.data.npz import check_writable, write_file
+from agym_jax.data.npz import check_writable, remove_parts, write_file
+from agym_jax.errors import SaveFolderError
 from agym_jax.policy.files import FILE_NAMES
 from agym_jax.policy.policy import Policy, save_policy
 
 from ..configs import LearnConfig
+from .lock import RunLock
 from .plots import plot_curve
 from .record import record
 
@@ -26,6 +29,7 @@ class RunFolder:
         checkpoints: folder of the checkpoints in it.
         curve: learning curve, one JSON object a line.
         picture: learning curve as a picture.
+        lock: keeps other runs out while it is entered.
     """
 
     def __init__(self, save_dir: str, env_name: str) -> None:
@@ -33,13 +37,29 @@ class RunFolder:
         self.checkpoints = self.path / "checkpoints"
         self.curve = self.path / "curve.jsonl"
         self.picture = self.path / "curve.png"
+        self.lock = RunLock(self.path)
 
     def of_lane(self, name: str) -> RunFolder:
         """The folder of one of several trainings, in this one."""
         return RunFolder(str(self.path), name)
 
+    def check(self, fresh: bool) -> None:
+        """Refuse a folder that a run must not write to, before anything is built.
+
+        Args:
+            fresh: the results of an earlier run will be moved aside.
+
+        Raises:
+            SaveFolderError: the folder cannot be written to, or holds results that cannot be continued.
+            RunInUseError: another run is training in it.
+        """
+        check_writable(self.path.parent)
+        with self.lock:
+            if not fresh:
+                self._refuse_results_without_checkpoint()
+
     def prepare(self, fresh: bool) -> Path | None:
-        """Make sure that results can be written, before anything compiles.
+        """Make sure that results can be written, before anything compiles; the lock is held.
 
         Args:
             fresh: move the results of an earlier run aside.
@@ -48,16 +68,35 @@ class RunFolder:
             Where an earlier run went, if it was moved.
 
         Raises:
-            SaveFolderError: the folder cannot be written to.
+            SaveFolderError: the folder cannot be written to, or holds results that cannot be continued.
         """
-        check_writable(self.path.parent)
         aside = None
-        if fresh and self.path.is_dir() and any(self.path.iterdir()):
+        if not fresh:
+            self._refuse_results_without_checkpoint()
+        elif self.path.is_dir() and any(self.path.iterdir()):
             stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")
             aside = self.path.rename(self.path.with_name(f"{self.path.name}.before-{stamp}"))
         check_writable(self.path)
         check_writable(self.checkpoints)
+        remove_parts(self.path)
         return aside
+
+    def _refuse_results_without_checkpoint(self) -> None:
+        if any(self.checkpoints.glob("step_*.npz")):
+            return
+        names = (*FILE_NAMES.values(), self.curve.name)
+        there = [
+            path
+            for pattern in ("", "seed_*/")
+            for name in names
+            for path in self.path.glob(pattern + name)
+        ]
+        if found := sorted({str(x.relative_to(self.path)) for x in there if x.stat().st_size}):
+            raise SaveFolderError(
+                f"{str(self.path)!r} has {', '.join(found)}, but no checkpoint to continue from; training would "
+                f"overwrite them. Start over with --fresh, which moves the folder aside, or choose another folder with "
+                f"--save-dir."
+            )
 
     def write_config(self, config: LearnConfig, **fields: Any) -> None:
         """Save the resolved settings with commit, versions and device."""
@@ -74,9 +113,18 @@ class RunFolder:
         write_file(self.curve, "".join(json.dumps(row) + "\n" for row in curve).encode())
 
     def add_row(self, row: Mapping[str, Any]) -> None:
-        """Add a row to the curve."""
-        with self.curve.open("a") as file:
-            file.write(json.dumps(row) + "\n")
+        """Add a row to the curve, whole or not at all.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        size = self.curve.stat().st_size
+        try:
+            with self.curve.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+        except OSError:
+            os.truncate(self.curve, size)
+            raise
 
     def draw(self, curve: Sequence[Mapping[str, Any]], title: str) -> None:
         """Draw the curve."""

@@ -49,6 +49,8 @@ class TrainResult:
         nan_steps: steps of this session in which an environment went non-finite.
         interrupted: stopped by Ctrl-C, SIGTERM or ``on_log`` before the end.
         folder: where the files are; None if nothing was written.
+        unsaved: why the end of the run is not on disk, as when that is full; empty if it is.
+        saved_steps: environment steps of the newest checkpoint.
     """
 
     seeds: list[SeedResult]
@@ -62,6 +64,8 @@ class TrainResult:
     nan_steps: int
     interrupted: bool
     folder: Path | None
+    unsaved: str = ""
+    saved_steps: int = 0
 
     @property
     def policies(self) -> Mapping[str, Policy]:

@@ -6,6 +6,7 @@ checkpoints in its folder resumes from them.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import signal
@@ -22,6 +23,7 @@ from jax.sharding import Mesh
 from agym_jax.compat.warp_kernels import kernels_in_background
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
+from agym_jax.interrupts import INTERRUPTED, deferred, raise_again
 
 from ..configs import Config, LearnConfig, parse_arguments, resolve, updates_in
 from ..envs import is_native, make_env, vectorize
@@ -33,9 +35,10 @@ from ..learning.rollout import RolloutState, fold_in, init_rollout, split_keys
 from ..learning.seeds import Lane, SideBySide, keep_learner, lane_keys, lanes_of
 from ..learning.sharding import AXIS, device_mesh, replicate, shard, shardings, to_host
 from ..learning.update import make_updates
-from .checkpoint import CheckpointManager, Policies, steps_of
+from .checkpoint import steps_of
 from .curve import Row, check_overflow, diverged, make_rows, refuse_diverged
 from .folder import RunFolder
+from .manager import CheckpointManager, Policies
 from .progress import Progress, Silent, for_terminal
 from .result import SeedResult, TrainResult, summary
 
@@ -89,23 +92,43 @@ def run_session(
     is_main_process = jax.process_index() == 0  # one host writes, and tells
     progress = (progress if is_main_process else None) or Silent()
     folder = RunFolder(config.save_dir, env.name) if config.save_dir is not None else None
-    if folder and is_main_process and (aside := folder.prepare(config.fresh)):
-        progress.say(f"Starting over; the earlier run is now in {aside}")
-    wait_for_hosts("folder")
+    with contextlib.ExitStack() as stack:
+        if folder and is_main_process:
+            check_writable(folder.path.parent)
+            stack.enter_context(folder.lock)
+            if aside := folder.prepare(config.fresh):
+                progress.say(f"Starting over; the earlier run is now in {aside}")
+        wait_for_hosts("folder")
+        return _run(env, config, single, mesh, progress, on_log, lanes, folder)
 
+
+def _run(
+    env: Any,
+    config: LearnConfig,
+    single: Agents,
+    mesh: Mesh | None,
+    progress: Progress,
+    on_log: OnLog | None,
+    lanes: Sequence[Lane] | None,
+    folder: RunFolder | None,
+) -> TrainResult:
+    """``run_session`` in a folder that is ours."""
+    is_main_process = jax.process_index() == 0
     start = time.perf_counter()
     lanes = list(lanes or lanes_of(config))
     agents = SideBySide(single, lanes) if len(lanes) > 1 else single
     num_envs = config.num_envs * len(lanes)
     venv = vectorize(env, num_envs // config.devices)
     key_learner, key_envs = split_keys(lane_keys(lanes))
-    manager = CheckpointManager(env, config, agents, folder, lanes, writes=is_main_process)
+    manager = CheckpointManager(
+        env, config, agents, folder, lanes, writes=is_main_process, say=progress.say
+    )
     learner, meta = manager.resume(jax.jit(agents.init)(key_learner))
     first_steps = steps_of(learner)
     if meta:
         _say_resumed(progress, meta, config, first_steps)
     check_agreement("the step to go on from", first_steps, "They need a common --save-dir.")
-    manager.begin(first_steps)
+    manager.begin(learner)
 
     batch = config.num_envs * config.num_steps
     total_steps = updates_in(config.num_env_steps, batch) * batch
@@ -129,46 +152,47 @@ def run_session(
         if lane.name in manager.stopped:
             hyper.learns[i] = 0.0
     start = last_save = time.perf_counter()
-    env_steps, nan_steps, since_save, interrupted = first_steps, 0, 0, False
-    saved_at = first_steps
+    env_steps, since_save, interrupted = first_steps, 0, False
+    nan_before = nan_total = manager.combined[-1]["nan_total"] if manager.combined else 0
     try:
         while env_steps < total_steps and not interrupted:
             count = min(config.log_interval, math.ceil((total_steps - env_steps) / batch))
             began = time.perf_counter()
             next_learner, rollout, totals = run(learner, rollout, np.int32(count), hyper)
-            rows = make_rows(jax.device_get(totals), count, count * batch, env.episode_length)
-            now = time.perf_counter()
-            nan_steps += sum(int(row["nan"]) for row in rows)
-            about = {
-                "env_steps": env_steps + count * batch,
-                "seconds": manager.seconds + now - start,
-                "steps_per_second": count * batch * len(rows) / (now - began),
-                "nan_total": nan_steps,
-            }
-            rows = [row | about for row in rows]
-            check_overflow(sum(row["overflow"] for row in rows), env.name, num_envs)
-            going = {i: x for i, x in enumerate(rows) if lanes[i].name not in manager.stopped}
-            for i, bad in [(i, x) for i, x in going.items() if diverged(x)]:
-                if len(going) == 1:
-                    refuse_diverged(bad, env.name)
-                next_learner = keep_learner(next_learner, learner, i)
-                hyper.learns[i] = 0.0
-                manager.stopped[lanes[i].name] = diverged(going.pop(i))
-                progress.say(f"{lanes[i].name} diverged {diverged(bad)}; the others go on.")
-            # before the learner moves on: an interrupt in it must not lose the row of what is kept
-            row = manager.add(going)
-            learner, env_steps = next_learner, env_steps + count * batch
+            totals = jax.device_get(totals)
+            with deferred():  # an interrupt must not come between a row and its learner
+                rows = make_rows(totals, count, count * batch, env.episode_length)
+                now = time.perf_counter()
+                nan_total += sum(int(row["nan"]) for row in rows)
+                about = {
+                    "env_steps": env_steps + count * batch,
+                    "seconds": manager.seconds + now - start,
+                    "steps_per_second": count * batch * len(rows) / (now - began),
+                    "nan_total": nan_total,
+                }
+                rows = [row | about for row in rows]
+                check_overflow(sum(row["overflow"] for row in rows), env.name, num_envs)
+                going = {i: x for i, x in enumerate(rows) if lanes[i].name not in manager.stopped}
+                for i, bad in [(i, x) for i, x in going.items() if diverged(x)]:
+                    if len(going) == 1:
+                        refuse_diverged(bad, env.name)
+                    next_learner = keep_learner(next_learner, learner, i)
+                    hyper.learns[i] = 0.0
+                    manager.stopped[lanes[i].name] = diverged(going.pop(i))
+                    progress.say(f"{lanes[i].name} diverged {diverged(bad)}; the others go on.")
+                row = manager.add(going)
+                learner, env_steps = next_learner, env_steps + count * batch
             progress.update(row)
             since_save += count
             due = since_save >= config.save_interval or now - last_save > SAVE_PERIOD
             if on_log and on_log(row, lambda kept=learner: manager.policies(kept)[0]):
                 interrupted = env_steps < total_steps
-            if due or interrupted or env_steps >= total_steps:
-                manager.save(learner, now - start)
-                saved_at, since_save, last_save = env_steps, 0, time.perf_counter()
+            save = manager.save if env_steps < total_steps else manager.save_end
+            if (due or interrupted or env_steps >= total_steps) and save(learner, now - start):
+                since_save, last_save = 0, time.perf_counter()
     except KeyboardInterrupt:
         interrupted = True
-        if env_steps > saved_at:
+        if env_steps > manager.saved_steps:
             manager.save(learner, time.perf_counter() - start)
     finally:
         progress.stop()
@@ -186,9 +210,11 @@ def run_session(
         session_steps=(env_steps - first_steps) * len(lanes),
         compile_seconds=compile_seconds,
         train_seconds=train_seconds,
-        nan_steps=nan_steps,
+        nan_steps=nan_total - nan_before,
         interrupted=interrupted,
         folder=folder.path if folder and is_main_process else None,
+        unsaved=manager.trouble,
+        saved_steps=manager.saved_steps,
     )
 
 
@@ -277,17 +303,28 @@ def command_line(
             check_writable(Path(config.save_dir))
         join_hosts(config.hosts)
         config = parse_arguments(words, kind, prog, jax.default_backend())  # JAX knows it only now
+        if config.save_dir is not None and jax.process_index() == 0:
+            RunFolder(config.save_dir, config.env_name.rpartition(":")[2]).check(config.fresh)
         env = make(config.env_name, config.impl)
+        raise_again()
         result = train(env, config, for_terminal())
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("Stopped before training began.", file=sys.stderr)
-        return 130
+        print("Stopped. Rerun the same command to train.", file=sys.stderr)
+        return INTERRUPTED
     if jax.process_index() == 0:
         print(summary(result))
+    if result.unsaved:
+        print(
+            f"SaveFolderError: The end of this run is not on disk: {result.unsaved}. Make room and rerun the same "
+            f"command, which continues from step {result.saved_steps:,}.",
+            file=sys.stderr,
+        )
+        return 2
     if result.interrupted:
-        print("Rerun the same command to continue.")
-        return 130
+        without = " without --fresh" if config.fresh else ""
+        print(f"Rerun the same command{without} to continue.")
+        return INTERRUPTED
     return 0

@@ -7,6 +7,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from agym_jax.data.assets import asset_root
+from agym_jax.data.npz import read_npz
 from agym_jax.registry import static_id
 from benchmarks.markdown import (
     NOTHING,
@@ -22,6 +23,11 @@ from benchmarks.markdown import (
 from train.runs import overview
 from train.runs.progress import duration
 
+COMMIT = 7
+"""Characters of a commit that results and policies agree on."""
+FEW = 6
+"""Names that are listed."""
+
 
 def _success(line: Line) -> str:
     """Share of successes and its 95 % interval."""
@@ -31,6 +37,26 @@ def _success(line: Line) -> str:
 def shipped() -> set[str]:
     """Ids whose policies are in the package; results of others are kept, but not shown as theirs."""
     return {path.stem for path in (asset_root() / "policies").glob("*.npz")}
+
+
+def chosen_among(folder: Path = RESULTS) -> str:
+    """Among how many seeds each shipped policy was chosen, in a sentence."""
+    chosen = {
+        (x["env"], x["commit"][:COMMIT], x["chosen"]): len(x["seeds"])
+        for x in read_results("selection", ("env", "commit", "chosen"), folder)
+    }
+    among: dict[int, list[str]] = {}
+    for path in sorted((asset_root() / "policies").glob("*.npz")):
+        info = read_npz(path)[1]
+        key = (path.stem, str(info.get("commit"))[:COMMIT], info.get("seed"))
+        among.setdefault(chosen.get(key, 1), []).append(path.stem.removesuffix("-v0"))
+    parts = []
+    for count, names in sorted(among.items(), reverse=True):
+        listed = ", ".join(names) if len(names) <= FEW else str(len(names))
+        are = "is" if len(names) == 1 else "are"
+        whose = f"the best of {count} seeds" if count > 1 else "of a single seed"
+        parts.append(f"{listed} {are} {whose}")
+    return f"Of {sum(map(len, among.values()))} shipped policies, {'; '.join(parts)}."
 
 
 def success(folder: Path = RESULTS) -> str:

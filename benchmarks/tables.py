@@ -250,6 +250,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "training": training,
     "throughput": throughput,
     "compile": compilation,
+    "chosen-among": policy_tables.chosen_among,
     "policies": policy_tables.policies,
     "selections": policy_tables.selections,
     "sweeps": policy_tables.sweeps,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -54,6 +54,11 @@ def refuse_fork() -> None:
 def key_of(generator: np.random.Generator) -> np.ndarray:
     """The raw PRNG key of an episode, drawn from an environment's generator (2,)."""
     return np.asarray(jax.random.PRNGKey(int(generator.integers(2**31))))
+
+
+def keys_of(seeds: Sequence[int | None]) -> np.ndarray:
+    """The raw PRNG keys of episodes with these seeds; None is a random one (n, 2)."""
+    return np.stack([key_of(gymnasium.utils.seeding.np_random(one)[0]) for one in seeds])
 
 
 def lengths_of(env: agym_jax.Env) -> dict[str, int]:

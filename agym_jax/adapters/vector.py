@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-import gymnasium
 import jax
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -26,7 +25,7 @@ from agym_jax.adapters.common import (
     begun,
     checked_actions,
     info_of,
-    key_of,
+    keys_of,
     lengths_of,
     refuse_fork,
     refuse_options,
@@ -158,8 +157,7 @@ class GymnasiumVectorEnv(VectorEnv):
                     f"{self.core.name} in a batch of {self.num_envs} takes one seed or {self.num_envs}, got {len(seeds)}."
                 )
             super().reset(seed=next((one for one in seeds if one is not None), None))
-        keys = [key_of(gymnasium.utils.seeding.np_random(one)[0]) for one in seeds]
-        self._state = self._programs.reset(np.stack(keys))
+        self._state = self._programs.reset(keys_of(seeds))
         return np.array(self._state.obs), self._info(jax.device_get(self._state.metrics))
 
     def step(

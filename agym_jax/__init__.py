@@ -17,35 +17,64 @@ from agym_jax.errors import AgymError
 
 if TYPE_CHECKING:
     from agym_jax.env import AssistiveEnv as Env
+    from agym_jax.human.population import Population
     from agym_jax.policy import Pair, Policy
     from agym_jax.state import State
+    from agym_jax.variation import RobotVariation
 
 __version__ = "0.1.0"
-__all__ = ["AgymError", "Env", "State", "list_envs", "load_policy", "make", "register_envs"]
+__all__ = [
+    "AgymError",
+    "Env",
+    "Population",
+    "RobotVariation",
+    "State",
+    "list_envs",
+    "load_policy",
+    "make",
+    "register_envs",
+]
 
 
-def make(name: str, impl: str = "auto", humans: Any = None, num_envs: int = 1) -> Env:
+def make(
+    name: str,
+    impl: str = "auto",
+    humans: Any = None,
+    num_envs: int = 1,
+    *,
+    config: Any = None,
+    episode_length: int | None = None,
+    robot: RobotVariation | None = None,
+) -> Env:
     """Build an environment.
 
     Args:
         name: its id, such as ``"ScratchItchJaco-v0"``; ``list_envs()`` has them all.
         impl: physics: MJX in ``"jax"`` (anywhere) or ``"warp"`` (NVIDIA GPUs), ``"auto"`` for the one that
             fits, or ``"native"``: C MuJoCo on the CPU, alone or in batches (``wrappers.vectorize``), not to be jitted or vmapped.
-        humans: an ``agym_jax.human.population.Population``, if not Assistive Gym's men and women.
+        humans: an ``agym_jax.Population``, if not Assistive Gym's men and women.
         num_envs: how many environments will be stepped together; sizes Warp's buffers.
             ``agym_jax.wrappers.vectorize`` sets it for you.
+        config: weights and thresholds of the task that are other than its own, such as ``{"scratch": 3.0,
+            "preferences": {"velocity": 0.5}}``; ``agym-jax settings ID`` prints what there is.
+        episode_length: control steps of an episode, if not the task's 200.
+        robot: an ``agym_jax.RobotVariation``: ranges of friction, strength of motors, latency and noise of sensors, from which
+            every episode draws; None for a robot that is always the same.
 
     Raises:
-        UnknownNameError: there is no such id; the message has the nearest.
+        UnknownNameError: there is no such id or setting; the message has the nearest.
         ImplementationError: Warp was asked for and is not installed.
+        ArgumentError: a setting, length, population or variation that makes no sense.
     """
+    from agym_jax.changes import change_task
     from agym_jax.env import AssistiveEnv
     from agym_jax.jax_settings import enable_compilation_cache
     from agym_jax.registry import parse
 
     enable_compilation_cache()
     recipe = parse(name)
-    return AssistiveEnv(recipe.task, recipe.robot, recipe.active, impl, humans, num_envs)
+    task = change_task(recipe.task, config, episode_length)
+    return AssistiveEnv(task, recipe.robot, recipe.active, impl, humans, num_envs, robot)
 
 
 def load_policy(source: str | Path, env: Env | None = None) -> Policy | Pair:
@@ -83,6 +112,14 @@ def __getattr__(name: str) -> Any:
         from agym_jax.state import State
 
         return State
+    if name == "Population":
+        from agym_jax.human.population import Population
+
+        return Population
+    if name == "RobotVariation":
+        from agym_jax.variation import RobotVariation
+
+        return RobotVariation
     raise AttributeError(f"module 'agym_jax' has no attribute {name!r}")
 
 

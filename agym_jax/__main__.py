@@ -13,10 +13,14 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 import agym_jax
 from agym_jax.errors import AgymError, MissingAssetError, UnknownNameError
 from agym_jax.interrupts import INTERRUPTED, leave_quietly, raise_again
+
+if TYPE_CHECKING:
+    from agym_jax.registry import Recipe
 
 TRAINER = "agym_jax.train"
 
@@ -24,6 +28,7 @@ TRAINER = "agym_jax.train"
 COMMANDS = {
     "list": ("", "print the environment ids"),
     "observe": ("", "print the observations of an id, column by column"),
+    "settings": ("", "print what can be changed of an id: weights, thresholds, people"),
     "demo": (f"{TRAINER}.demo", "see it work on a CPU, in a few minutes"),
     "train": (f"{TRAINER}.ppo", "train a robot's policy with PPO"),
     "coop": (f"{TRAINER}.coop", "train robot and person side by side"),
@@ -104,7 +109,7 @@ def find(name: str) -> Callable[..., int]:
         raise UnknownNameError("command", name, COMMANDS)
     module = COMMANDS[name][0]
     if not module:
-        return {"list": list_ids, "observe": show_observations}[name]
+        return {"list": list_ids, "observe": show_observations, "settings": show_settings}[name]
     from agym_jax.jax_settings import enable_compilation_cache
 
     enable_compilation_cache()
@@ -159,12 +164,9 @@ def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax o
     parser.add_argument("id", help="environment id, such as ScratchItchJaco-v0")
     name = parser.parse_args(argv).id
     from agym_jax import observe
-    from agym_jax.registry import parse
 
-    try:
-        recipe = parse(name)
-    except AgymError as error:
-        print(error, file=sys.stderr)
+    recipe = _recipe(name)
+    if recipe is None:
         return 1
     records = {"Robot": recipe.task.robot_obs}
     if recipe.active:
@@ -172,6 +174,32 @@ def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax o
     for title, record in records.items():
         print(f"{title}: {observe.size(record)} columns\n\n{observe.table(record)}\n")
     return 0
+
+
+def show_settings(argv: Sequence[str] | None = None, prog: str = "agym-jax settings") -> int:
+    """Print what ``config`` and ``humans`` of ``agym_jax.make`` can change; returns the exit status."""
+    parser = argparse.ArgumentParser(prog=prog, description="Print what can be changed of an id.")
+    parser.add_argument("id", help="environment id, such as ScratchItchJaco-v0")
+    name = parser.parse_args(argv).id
+    from agym_jax.changes import settings_table, settings_tables
+
+    recipe = _recipe(name)
+    if recipe is None:
+        return 1
+    for title, settings in settings_tables(recipe.task).items():
+        print(f"{title}\n\n{settings_table(settings)}\n")
+    return 0
+
+
+def _recipe(name: str) -> Recipe | None:
+    """What an id stands for; None if there is no such, which is said."""
+    from agym_jax.registry import parse
+
+    try:
+        return parse(name)
+    except AgymError as error:
+        print(error, file=sys.stderr)
+        return None
 
 
 if __name__ == "__main__":

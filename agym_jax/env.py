@@ -28,12 +28,14 @@ import mujoco
 from jax import Array
 
 from agym_jax import observe
+from agym_jax.changes import changes_of
 from agym_jax.data.banks import load_bank
 from agym_jax.errors import SpecError, WrapperError, checked_count
 from agym_jax.human.population import Population, checked_population
 from agym_jax.human.regions import comfort_limits, no_forces
 from agym_jax.jax_settings import full_precision
 from agym_jax.math3d import first_sign, nearest_sign
+from agym_jax.metrics import METRICS, metrics_of
 from agym_jax.rendering.raycast import Marker
 from agym_jax.sense import Motion, Sensed, quats_of, with_quats
 from agym_jax.sim.arguments import check_key, check_single
@@ -45,16 +47,10 @@ from agym_jax.sim.scene import build_scene
 from agym_jax.sim.sensing import ContactSums, motion_at_rest, no_contacts, sense
 from agym_jax.spec import Loaded, Privileged, RobotSpec, Task
 from agym_jax.state import Episode, State, limited_by_brax, raw_key, select, strong
+from agym_jax.variation import RobotVariation, checked_variation, sample_robot, sensed_by
 
 MAX_SPEED = 1e3
 """Of a joint [rad/s]: a simulation in which one is faster has exploded, and counts as NaN. Bullet stops at 100."""
-METRICS = (
-    "force/on_human", "force/tool_on_human", "force/robot_on_human", "force/tool",
-    "force/peak_on_human", "force/of_comfort", "force/of_limit", "success", "nan", "overflow",
-)  # fmt: skip
-"""Metrics of every environment, besides the reward's terms. Forces are means over a control step [N]; ``peak_on_human``
-is the largest on one region of the body in a physics step [N], ``of_comfort`` and ``of_limit`` are the shares of limits
-of ``human.regions`` that are reached, above 1 where one is exceeded."""
 
 
 class AssistiveEnv:
@@ -68,6 +64,10 @@ class AssistiveEnv:
             ``"native"`` is C MuJoCo, on a CPU.
         humans: population that episodes draw from.
         num_envs: how many environments will be stepped together: sizes Warp's buffers.
+        variation: how robots differ from episode to episode; None if they do not.
+
+    Attributes:
+        changes: what is other than the id says, see ``agym_jax.changes``.
     """
 
     def __init__(
@@ -78,10 +78,13 @@ class AssistiveEnv:
         impl: str = "auto",
         humans: Population | None = None,
         num_envs: int = 1,
+        variation: RobotVariation | None = None,
     ):
         self.task, self.robot, self.active = task, robot, active
         self.comfort = comfort_limits(task)
         self.humans = checked_population(humans)
+        self.variation = checked_variation(variation)
+        self.changes = changes_of(task, self.humans, self.variation)
         self.impl = choose_impl(impl)
         self.num_envs = checked_count("num_envs", num_envs)
         self.scene = build_scene(task, robot, active)
@@ -148,8 +151,8 @@ class AssistiveEnv:
         """
         raise WrapperError(
             f"{self.name} has no sys: every human has a model of their own, in state.episode. Instead of Brax's "
-            f"DomainRandomizationVmapWrapper, use agym_jax.make(name, humans=Population(...)); instead of its "
-            f"GymWrapper and DmEnvWrapper, gymnasium.make(name)."
+            f"DomainRandomizationVmapWrapper, use agym_jax.make(name, humans=Population(...), robot=RobotVariation(...)); "
+            f"instead of its GymWrapper and DmEnvWrapper, gymnasium.make(name)."
         )
 
     @property
@@ -218,7 +221,9 @@ class AssistiveEnv:
             data, contacts, motion, state.task, state.quats, state.episode, targets
         )
         after["metrics"] = {**state.metrics, **after["metrics"]}
-        episode = dataclasses.replace(state.episode, human_target=targets.hold, step=clock)
+        episode = dataclasses.replace(
+            state.episode, human_target=targets.hold, step=clock, sent=targets.sent
+        )
         return limited_by_brax(state.replace(data=data, episode=episode, **after))
 
     def _control_targets(
@@ -248,13 +253,13 @@ class AssistiveEnv:
         rewards = self.task.rewards(task, events, sensed, targets.action)
         self._check_terms(rewards)
         # observe
-        obs, privileged_obs = self._observe(task, sensed)
+        step = episode.step + 1
+        obs, privileged_obs = self._observe(task, sensed, episode, step)
         bad = ~(
             jnp.all(jnp.isfinite(data.qpos)) & jnp.all(abs(data.qvel) < MAX_SPEED)
             & jnp.all(jnp.isfinite(obs)) & jnp.isfinite(sum(rewards.values()))
         )  # fmt: skip
         rewards = {k: jnp.where(bad, 0.0, v) for k, v in rewards.items()}
-        step = episode.step + 1
         after = {
             "task": task,
             "obs": jnp.where(bad, 0.0, obs),
@@ -262,7 +267,14 @@ class AssistiveEnv:
             "quats": jnp.where(bad, quats_before, quats),
             "reward": jnp.asarray(sum(rewards.values())),
             "done": ((step >= self.episode_length) | bad).astype(jnp.float32),
-            "metrics": self._metrics(task, rewards, sensed, data, bad),
+            "metrics": metrics_of(
+                rewards,
+                sensed,
+                self.comfort,
+                self.task.success(task),
+                bad,
+                self.physics.overflow(data),
+            ),
             "regions": jax.tree.map(lambda x: jnp.where(bad, 0.0, x), sensed.regions),
         }
         return strong((after, step))
@@ -298,7 +310,8 @@ class AssistiveEnv:
     def _sample_episode(self, rng: Array) -> tuple[EpisodeSample, Array, Array]:
         """What makes an episode, and the keys of the task and of what comes after."""
         *keys, key_task, key = jax.random.split(rng, 5)
-        sample = sample_episode(keys, self.scene, self.task.human, self.humans, self._bank)
+        robot = sample_robot(rng, self.variation)
+        sample = sample_episode(keys, self.scene, self.task.human, self.humans, self._bank, robot)
         return strong((sample, key_task, key))
 
     def _begin_task(self, key: Array, data: Any, episode: Episode) -> tuple[dict[str, Any], Array]:
@@ -310,7 +323,7 @@ class AssistiveEnv:
         sensed = with_quats(sensed, quats)
         task = self.task.init(key, sensed)
         success = jnp.asarray(self.task.success(task)).astype(jnp.float32)
-        obs, privileged_obs = self._observe(task, sensed)
+        obs, privileged_obs = self._observe(task, sensed, episode, episode.step)
         seen = {"task": task, "obs": obs, "privileged_obs": privileged_obs, "quats": quats}
         return strong((seen, success))
 
@@ -332,31 +345,15 @@ class AssistiveEnv:
         sizes = geom_sizes(self.scene, episode)
         return sense(self.scene.index, data, contacts, motion, episode.human.dims, sizes)
 
-    def _observe(self, task: Any, sensed: Sensed) -> tuple[Array, Array | None]:
+    def _observe(
+        self, task: Any, sensed: Sensed, episode: Episode, step: Array
+    ) -> tuple[Array, Array | None]:
         """The observation (n_obs,), and what nobody observes, if there is any (n_privileged,)."""
         robot, human = self.task.observe(task, sensed)
-        records = [robot, human] if self.active else [robot]
-        obs = jnp.concatenate([observe.flatten(r) for r in records])
+        seen = [sensed_by(episode.robot, type(robot), observe.flatten(robot), step)]
+        obs = jnp.concatenate([*seen, observe.flatten(human)] if self.active else seen)
         privileged = isinstance(self.task, Privileged)
         return obs, self.task.privileged_obs(task) if privileged else None  # pyrefly: ignore
-
-    def _metrics(self, task: Any, rewards: dict, sensed: Sensed, data: Any, bad: Array) -> dict:
-        """Values of ``metric_names``."""
-        clean = lambda x: jnp.where(bad, 0.0, x).astype(jnp.float32)  # noqa: E731
-        values = (
-            clean(sensed.force_on_human),
-            clean(sensed.tool_on_human),
-            clean(sensed.robot_on_human),
-            clean(sum(t.force for t in sensed.tools)),
-            clean(jnp.max(sensed.regions.peak)),
-            clean(sensed.regions.of_comfort(self.comfort)),
-            clean(sensed.regions.of_limit()),
-            clean(self.task.success(task)),
-            bad.astype(jnp.float32),
-            self.physics.overflow(data),
-        )
-        terms = {f"reward/{name}": value for name, value in rewards.items()}
-        return terms | dict(zip(METRICS, values, strict=True))
 
     # -- pictures --------------------------------------------------------------------------------
 

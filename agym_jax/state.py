@@ -16,6 +16,7 @@ from agym_jax.errors import WrapperError
 from agym_jax.human.body import BodyFields
 from agym_jax.human.population import Human
 from agym_jax.human.pose import BodyPose
+from agym_jax.variation import RobotDraw
 
 _INSTEAD = "use wrap_env_fn=agym_jax.adapters.brax.wrap_for_brax_training"
 SAME_HUMAN = (
@@ -40,6 +41,12 @@ class Episode:
     human_angles: jax.Array  # start angles of the moving joints [rad]        (n_person,)
     human_target: jax.Array  # what the muscles hold, without tremor [rad]    (n_person,)
     step: jax.Array  # control steps done, int32                               ()
+    robot: RobotDraw | None = None  # how the robot is other than usual; None if it does not vary
+    sent: jax.Array | None = None  # its actions under way, the newest first   (longest, n_arm)
+
+
+MOVING = ("human_target", "step", "sent")
+"""Fields of an episode that a step changes; the others stay as they were drawn."""
 
 
 @jax.tree_util.register_dataclass
@@ -124,7 +131,7 @@ def raw_key(key: jax.Array) -> jax.Array:
 def moved(state: State, fields: dict[str, Any]) -> State:
     """The state with what a step has changed."""
     fields = dict(fields)
-    clock = {name: fields.pop(name) for name in ("human_target", "step")}
+    clock = {name: fields.pop(name) for name in MOVING}
     metrics = {**state.metrics, **fields.pop("metrics")}
     episode = dataclasses.replace(state.episode, **clock)
     return state.replace(episode=episode, metrics=metrics, **fields)

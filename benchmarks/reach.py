@@ -32,7 +32,7 @@ from agym_jax.sim.scene import compose
 from agym_jax.sim.validate import COLLISION
 from agym_jax.spec import Pose
 from benchmarks.keep import keep
-from train.configs import Count
+from train.flags import Count
 
 DEEPEST = 0.004  # [m] that skin may yield
 NEAR = 0.005  # [m] of remaining distance at which inverse kinematics has arrived

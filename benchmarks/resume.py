@@ -23,7 +23,7 @@ import tyro
 from agym_jax.policy.check import train_command
 from benchmarks.child import ChildError
 from benchmarks.keep import keep
-from train.configs import Count
+from train.flags import Count
 from train.runs.folder import RunFolder
 
 LATEST = 0.1  # share of the curve that says how a run ends

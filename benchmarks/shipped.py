@@ -22,7 +22,7 @@ import tyro
 from agym_jax.data.assets import asset_root
 from agym_jax.errors import UnknownNameError
 from benchmarks.markdown import Line, read_results
-from train.configs import Count
+from train.flags import Count
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ import tyro
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
 
-from .configs import Count
 from .envs import make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.seed_scores import SeedScores, score_seeds
 from .evaluation.statistics import improvement_interval, probability_of_improvement
+from .flags import Count
 from .runs.record import append_record, record
 from .select import load_seeds
 
@@ -61,7 +61,7 @@ def improvement(ours: SeedScores, theirs: SeedScores) -> dict[str, dict[str, Any
 @reports_errors
 def main(
     arguments: Sequence[str] | None = None,
-    make: Callable[[str, str], Any] = make_env,
+    make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.compare",
 ) -> int:
     """The command line; returns the exit status."""

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import tyro
 
 from .errors import ConfigError, check_save_dir
+from .flags import Count, EnvFlags, env_name_in, task_config
 from .task_changes import CPU_CHANGES, TASK_CHANGES
 
 POSITIVE = ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling")
@@ -35,37 +36,10 @@ SHARES = (
 MAX_ENV_STEPS = 2**32 - 1  # the learner counts steps in 32 unsigned bits
 
 
-def parse_count(text: str) -> int:
-    """A whole number that may be written ``20000``, ``20_000`` or ``2e4``.
-
-    Raises:
-        ValueError: it is not a whole number, or negative.
-    """
-    try:
-        value = float(text.replace("_", ""))
-    except ValueError:
-        raise ValueError(f"{text!r} is not a number; write 10000000 or 1e7") from None
-    if not math.isfinite(value) or value < 0 or value != int(value):
-        raise ValueError(f"{text!r} is not a whole number >= 0; write 10000000 or 1e7")
-    return int(value)
-
-
-_COUNT = tyro.constructors.PrimitiveConstructorSpec(
-    nargs=1,
-    metavar="N",
-    instance_from_str=lambda words: parse_count(words[0]),
-    is_instance=lambda value: isinstance(value, int),
-    str_from_instance=lambda value: [str(value)],
-)
-Count = Annotated[int, _COUNT]
-
-
 @dataclass(frozen=True)
-class LearnConfig:
+class LearnConfig(EnvFlags):
     """What every trainer can be told; see ``PPOConfig`` and ``CoopConfig``."""
 
-    env_name: str = "ScratchItchJaco-v0"
-    """Environment id."""
     num_env_steps: Count = 10_000_000
     """Environment steps in all; 1e7 is accepted. Rounded up to whole updates."""
     save_dir: str | None = "trained_models"
@@ -287,7 +261,7 @@ def config_for(env_name: str, kind: type[Config] = PPOConfig, platform: str = "g
     """
     changes = _of(TASK_CHANGES, env_name, {})
     changes = changes | (_of(CPU_CHANGES, env_name, {}) if platform == "cpu" else {})
-    return dataclasses.replace(kind(), env_name=env_name, **changes)
+    return dataclasses.replace(kind(), env_name=env_name, task=task_config(env_name), **changes)
 
 
 def _of(table: dict[str, Any], env_name: str, otherwise: Any) -> Any:
@@ -295,16 +269,6 @@ def _of(table: dict[str, Any], env_name: str, otherwise: Any) -> Any:
     plain = env_name.rpartition(":")[2]  # without the module of a plug-in
     keys = [key for key in table if plain.startswith(key)]
     return table[max(keys, key=len)] if keys else otherwise
-
-
-def env_name_in(arguments: Sequence[str], default: str = PPOConfig.env_name) -> str:
-    """The value of ``--env-name`` among command-line words, or the default environment."""
-    name = default
-    for i, word in enumerate(arguments):
-        flag, equals, value = word.partition("=")
-        if flag.replace("_", "-") == "--env-name":
-            name = value if equals else (arguments[i + 1] if i + 1 < len(arguments) else name)
-    return name
 
 
 def parse_arguments(

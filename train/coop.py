@@ -49,7 +49,7 @@ def train(
 
 def main(
     arguments: Sequence[str] | None = None,
-    make: Callable[[str, str], Any] = make_env,
+    make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.coop",
 ) -> int:
     """The command line; returns the exit status."""

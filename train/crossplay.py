@@ -23,11 +23,11 @@ from agym_jax.policy.files import find_policy, load_agent, run_file
 from agym_jax.policy.policy import Policy
 from agym_jax.registry import static_id
 
-from .configs import Count
 from .envs import make_env, refuse_static_human
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
+from .flags import Count
 from .runs.record import append_record, record
 
 STILL = "(holds still)"

@@ -27,12 +27,13 @@ from agym_jax.errors import checked_count
 from agym_jax.policy.agents import baseline_policy
 from agym_jax.policy.files import PolicyFiles, find_policy, load_policies
 
-from .configs import Count, config_for
+from .configs import config_for
 from .enjoy import Frame, caption
 from .envs import make_env
 from .errors import reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
+from .flags import Count
 from .learning.rollout import FORCE_KEY
 from .ppo import OnLog, train
 from .runs.progress import for_terminal

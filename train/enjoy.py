@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
@@ -27,9 +26,9 @@ from agym_jax.rendering.meshes import check_visuals
 from agym_jax.rendering.render import check_backend
 from agym_jax.sim.pictures import check_camera
 
-from .configs import Count
 from .envs import jit_functions, make_env
 from .errors import ConfigError, reports_errors
+from .flags import Count, EnvFlags, parse_flags
 from .learning.rollout import FORCE_KEY
 
 SHEET_PICTURES = 20
@@ -38,11 +37,9 @@ SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 @dataclass(frozen=True)
-class EnjoyConfig:
+class EnjoyConfig(EnvFlags):
     """Flags of ``agym-jax enjoy``."""
 
-    env_name: str = "ScratchItchJaco-v0"
-    """Environment id."""
     load_dir: str | None = None
     """--save-dir of a training run; without it and --policy, the policy shipped with agym_jax."""
     policy: str | None = None
@@ -56,7 +53,7 @@ class EnjoyConfig:
     non_det: bool = False
     """Sample actions instead of taking the mode."""
     any_env: bool = False
-    """Accept a policy of another environment with the same observation layout."""
+    """Accept a policy of another environment with the same observation layout, or of other settings of this one."""
     impl: str = "native"
     """Physics: "native" (C MuJoCo, quick to start) or "jax" (MJX, as in training)."""
     clip: Path | None = None
@@ -239,17 +236,19 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
 @reports_errors
 def main(
     arguments: Sequence[str] | None = None,
-    make: Callable[[str, str], Any] = make_env,
+    make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.enjoy",
 ) -> int:
     """The command line; returns the exit status."""
-    config = tyro.cli(EnjoyConfig, prog=prog, args=arguments)
+    config = parse_flags(EnjoyConfig, arguments, prog)
     jax.config.update(
         "jax_platforms", "cpu"
     )  # one environment: the accelerator would only be slower
     warnings.simplefilter("default")
     _check_outputs(config)
-    env = make(config.env_name, config.impl)  # first: it knows which ids there are
+    env = make(
+        config.env_name, config.impl, **config.options()
+    )  # first: it knows which ids there are
     files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
     if config.visuals != "primitives":  # before anything is compiled
         check_visuals(config.visuals, env.robot)

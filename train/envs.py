@@ -12,12 +12,23 @@ from agym_jax.registry import active_id, static_id
 from .errors import ActiveHumanError
 
 
-def make_env(env_name: str, impl: str = "auto") -> Any:
-    """An environment by its id; on a CPU, ``"auto"`` is C MuJoCo, as nothing here traces through the physics."""
+def make_env(env_name: str, impl: str = "auto", **options: Any) -> Any:
+    """An environment by its id; on a CPU, ``"auto"`` is C MuJoCo, as nothing here traces through the physics.
+
+    Args:
+        env_name: environment id.
+        impl: physics.
+        **options: further arguments of ``agym_jax.make``.
+    """
     import agym_jax
     from agym_jax.sim.physics import choose_impl
 
-    return agym_jax.make(env_name, impl=choose_impl(impl, traced=False))
+    return agym_jax.make(env_name, impl=choose_impl(impl, traced=False), **options)
+
+
+def changed(env: Any) -> dict[str, Any]:
+    """What of an environment is other than its id says, for a result line; nothing where all is as it says."""
+    return {"changes": env.changes} if getattr(env, "changes", None) else {}
 
 
 def is_native(env: Any) -> bool:

@@ -13,18 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
 from agym_jax.policy.agents import AnyPolicy, baseline_policy
 from agym_jax.policy.files import find_policies, load_policies
 
-from .configs import Count
-from .envs import make_env
+from .envs import changed, make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
+from .flags import Count, EnvFlags, parse_flags
 from .runs.record import append_record, record
 
 
@@ -59,11 +58,9 @@ def evaluate(
 
 
 @dataclass(frozen=True)
-class EvaluateConfig:
+class EvaluateConfig(EnvFlags):
     """Flags of ``agym-jax evaluate``."""
 
-    env_name: str = "ScratchItchJaco-v0"
-    """Environment id."""
     load_dir: str | None = None
     """--save-dir of a training run; without it and --policy, the policy shipped with agym_jax."""
     policy: str | None = None
@@ -79,7 +76,7 @@ class EvaluateConfig:
     impl: str = "auto"
     """Physics: "jax", "warp", "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU where it is installed."""
     any_env: bool = False
-    """Accept a policy of another environment with the same observation layout."""
+    """Accept a policy of another environment with the same observation layout, or of other settings of this one."""
     json: str | None = None
     """File to which the result is added as a JSON line."""
 
@@ -91,14 +88,16 @@ class EvaluateConfig:
 @reports_errors
 def main(
     arguments: Sequence[str] | None = None,
-    make: Callable[[str, str], Any] = make_env,
+    make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.evaluate",
 ) -> int:
     """The command line; returns the exit status."""
-    config = tyro.cli(EvaluateConfig, prog=prog, args=arguments)
+    config = parse_flags(EvaluateConfig, arguments, prog)
     if config.json:
         check_writable(Path(config.json).parent, "Choose another file with --json.")
-    env = make(config.env_name, config.impl)  # first: it knows which ids there are
+    env = make(
+        config.env_name, config.impl, **config.options()
+    )  # first: it knows which ids there are
     files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
     policy = load_policies(files, env, config.any_env)
     result = evaluate(
@@ -117,6 +116,7 @@ def main(
             seed=config.seed,
             deterministic=not config.non_det,
             impl=str(getattr(env, "impl", config.impl)),
+            **changed(env),
             **result.summary(),
         )
         append_record(config.json, line)

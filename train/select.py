@@ -19,6 +19,7 @@ from typing import Annotated, Any
 import jax
 import tyro
 
+from agym_jax.changes import arguments_of
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import (
     PolicyEnvironmentError,
@@ -27,13 +28,14 @@ from agym_jax.errors import (
 )
 from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.files import FILE_NAMES, find_policies, load_policies, load_policy
+from agym_jax.policy.policy import read_policy
 
-from .configs import Count
-from .envs import make_env
+from .envs import changed, make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
 from .evaluation.seed_scores import SeedScores, score_seeds
+from .flags import Count
 from .runs.record import append_record, record
 
 CHOSEN = (
@@ -84,17 +86,16 @@ def seed_folders(run: Path) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
-def load_seeds(
-    run: Path, make: Callable[[str, str], Any], impl: str
-) -> tuple[Any, dict[int, AnyPolicy]]:
-    """The environment of a run, and the policy of each of its seeds.
+def load_seeds(run: Path, make: Callable[..., Any], impl: str) -> tuple[Any, dict[int, AnyPolicy]]:
+    """The environment of a run, with the settings that it was trained with, and the policy of each of its seeds.
 
     Raises:
         PolicyNotFoundError: there are none.
         PolicyEnvironmentError, PolicyLayoutError: they do not fit the environment.
     """
     folders = seed_folders(run)
-    env = make(run.name, impl)
+    trained = read_policy(next(iter(folders.values())) / FILE_NAMES["robot"])
+    env = make(run.name, impl, **arguments_of(trained.info.get("changes", {})))
     return env, {seed: load_policy(folder, env) for seed, folder in folders.items()}
 
 
@@ -149,7 +150,7 @@ def measure_shipped(
 @reports_errors
 def main(
     arguments: Sequence[str] | None = None,
-    make: Callable[[str, str], Any] = make_env,
+    make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.select",
 ) -> int:
     """The command line; returns the exit status."""
@@ -183,6 +184,7 @@ def main(
             chosen_over=config.seed,
             reported_over=config.report_seed,
             impl=str(getattr(env, "impl", config.impl)),
+            **changed(env),
             **{f"chosen_{name}": summary[name] for name in CHOSEN if name in summary},
         )
         append_record(config.json, line)

@@ -31,8 +31,9 @@ from agym_jax.errors import AgymError, UnknownNameError, checked_count
 from agym_jax.interrupts import raise_again
 from agym_jax.registry import parse
 
-from .configs import Count, config_for, parse_count
+from .configs import config_for
 from .errors import ConfigError, check_save_dir
+from .flags import Count, parse_count
 from .runs.children import Children, claim, own_program, visible_gpus
 from .runs.overview import JOURNAL, markdown, read_rows, selection_of, training_summary
 from .runs.plots import plot_runs

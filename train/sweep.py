@@ -23,10 +23,11 @@ import tyro
 from agym_jax.data.npz import write_file
 from agym_jax.errors import UnknownNameError, checked_count
 
-from .configs import Count, LearnConfig, PPOConfig, config_for
+from .configs import LearnConfig, PPOConfig, config_for
 from .envs import make_env, refuse_active_human
 from .errors import ConfigError, check_save_dir, reports_errors
 from .evaluation.statistics import bootstrap_interval, iqm
+from .flags import Count, EnvFlags, parse_flags
 from .learning.agents import Agents
 from .learning.seeds import Lane
 from .runs.progress import Progress, for_terminal
@@ -44,7 +45,7 @@ Setting = dict[str, float]
 
 
 @dataclass(frozen=True)
-class SweepConfig:
+class SweepConfig(EnvFlags):
     """Flags of ``agym-jax sweep``."""
 
     env_name: str = "ReachingJaco-v0"
@@ -189,18 +190,18 @@ def table(ranked: Sequence[Mapping[str, Any]]) -> str:
 @reports_errors
 def main(
     arguments: Sequence[str] | None = None,
-    make: Callable[[str, str], Any] = make_env,
+    make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.sweep",
 ) -> int:
     """The command line; returns the exit status."""
-    flags = tyro.cli(SweepConfig, prog=prog, args=arguments, description=__doc__)
+    flags = parse_flags(SweepConfig, arguments, prog, __doc__)
     settings = parse_grid(flags.grid, flags.random, flags.seed)
     config = config_for(flags.env_name, platform=jax.default_backend())
     config = dataclasses.replace(
         config, seed=flags.seed, impl=flags.impl, save_dir=flags.save_dir,
         num_envs=flags.num_envs, num_env_steps=flags.num_env_steps or config.num_env_steps,
     )  # fmt: skip
-    env = make(flags.env_name, flags.impl)
+    env = make(flags.env_name, flags.impl, **flags.options())
     result = sweep(env, config, settings, flags.num_seeds, for_terminal())
     ranked = rank(result, settings, flags.num_seeds)
     print(summary(result))

@@ -57,7 +57,7 @@ def wrap_for_brax_training(
         raise WrapperError(
             "randomization_fn changes the one model of a Brax environment (DomainRandomizationVmapWrapper); here "
             "every human has a model of their own, drawn anew in each episode. Leave it out, and say "
-            "whom to draw with agym_jax.make(name, humans=Population(sizes='continuous'))."
+            "what to draw with agym_jax.make(name, humans=Population(sizes='continuous'), robot=RobotVariation(...))."
         )
     return BraxTrainingEnv(env, episode_length, action_repeat, bootstrap_on_timeout)
 

@@ -13,11 +13,15 @@ import numpy as np
 from gymnasium import spaces
 
 import agym_jax
+from agym_jax.changes import change_task
 from agym_jax.errors import ActionError, AgymError, checked_count, did_you_mean
+from agym_jax.human.population import Population, checked_population
 from agym_jax.registry import parse
 from agym_jax.rendering.meshes import check_visuals
 from agym_jax.rendering.render import Renderer
+from agym_jax.sim.physics import choose_impl
 from agym_jax.sim.pictures import check_camera
+from agym_jax.variation import RobotVariation, checked_variation
 
 RENDER_MODES = ("rgb_array",)
 
@@ -49,6 +53,55 @@ def refuse_fork() -> None:
             "processes: make_vec(id, vectorization_mode='async', vector_kwargs={'context': 'spawn'})."
         )
     _Process.pid = os.getpid()
+
+
+class Recipe(NamedTuple):
+    """What ``agym_jax.make`` is given; environments that are made of the same share their programs."""
+
+    env_id: str
+    impl: str
+    humans: Population
+    config: Any = None  # the task's whole record, None if it is as registered
+    episode_length: int | None = None
+    robot: RobotVariation | None = None
+
+    @classmethod
+    def checked(
+        cls,
+        env_id: str,
+        impl: str,
+        humans: Any,
+        config: Any,
+        episode_length: int | None,
+        robot: Any,
+    ) -> Recipe:
+        """Of what a user asks for; see ``agym_jax.make``.
+
+        Raises:
+            AgymError: there is no such thing, or it makes no sense.
+        """
+        usual = parse(env_id).task
+        task = change_task(usual, config, episode_length)
+        changed = lambda name: getattr(task, name, None) != getattr(usual, name, None)  # noqa: E731
+        return cls(
+            env_id,
+            choose_impl(impl, traced=False),
+            checked_population(humans),
+            task.config if changed("config") else None,  # pyrefly: ignore
+            task.episode_length if changed("episode_length") else None,
+            checked_variation(robot),
+        )
+
+    def make(self) -> agym_jax.Env:
+        """The environment."""
+        return agym_jax.make(
+            self.env_id,
+            self.impl,
+            self.humans,
+            config=self.config,
+            episode_length=self.episode_length,
+            robot=self.robot,
+        )
 
 
 def key_of(generator: np.random.Generator) -> np.ndarray:

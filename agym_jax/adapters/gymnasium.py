@@ -13,6 +13,7 @@ observations exceed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -24,6 +25,7 @@ import agym_jax
 from agym_jax.adapters.common import (
     RENDER_MODES,
     ForkedProcessError,
+    Recipe,
     RenderModeError,
     View,
     begun,
@@ -35,13 +37,13 @@ from agym_jax.adapters.common import (
     refuse_options,
     spaces_of,
 )
-from agym_jax.human.population import Population, checked_population
+from agym_jax.human.population import Population
 from agym_jax.rendering.render import Renderer
-from agym_jax.sim.physics import choose_impl
+from agym_jax.variation import RobotVariation
 
 
 class _Programs(NamedTuple):
-    """An environment and its functions, compiled where they can be; all instances of an id share them."""
+    """An environment and its functions, compiled where they can be; all that are made of the same share them."""
 
     env: agym_jax.Env
     reset: Any
@@ -49,15 +51,15 @@ class _Programs(NamedTuple):
 
 
 @cache
-def _programs(env_id: str, impl: str, humans: Population) -> _Programs:
-    env = agym_jax.make(env_id, impl=impl, humans=humans)
+def _programs(recipe: Recipe) -> _Programs:
+    env = recipe.make()
     return _Programs(env, *env.jit_functions())
 
 
 class GymnasiumEnv(gymnasium.Env):
     """One environment of an environment.
 
-    Episodes are truncated after 200 steps, as all of Assistive Gym's are; they terminate only when
+    Episodes are truncated after 200 steps (``episode_length``), as all of Assistive Gym's are; they terminate only when
     the physics fails. ``info`` has Assistive Gym's keys and the reward's terms.
 
     ``copy.deepcopy`` and ``pickle`` keep the state of the episode and the generator of the episodes to come: a copy goes
@@ -72,15 +74,18 @@ class GymnasiumEnv(gymnasium.Env):
         height: of pictures [pixels].
         camera: name or number of the camera.
         visuals: of the robot in pictures, ``"primitives"`` or ``"meshes"``, see ``agym_jax.rendering.meshes``.
+        config: weights and thresholds of the task, see ``agym_jax.make``.
+        episode_length: control steps of an episode, see ``agym_jax.make``.
+        robot: how robots vary, see ``agym_jax.make``.
 
     Raises:
-        UnknownNameError: there is no such id, or there are no such looks.
+        UnknownNameError: there is no such id or setting, or there are no such looks.
         MissingExtraError: the meshes' package is not installed: ``pip install "agym_jax[meshes]"``.
         MeshError: this robot has no meshes, or they do not fit it.
         RenderModeError: there is no such render mode.
         ImplementationError: there is no such physics, or it is not installed.
         ForkedProcessError: this process is a copy of one that has made an environment already.
-        ArgumentError: ``humans`` is no population, or pictures have no pixels.
+        ArgumentError: ``humans`` is no population, a setting or length makes no sense, or pictures have no pixels.
         UnknownCameraError: there is no such camera.
     """
 
@@ -96,12 +101,14 @@ class GymnasiumEnv(gymnasium.Env):
         height: int = 360,
         camera: str | int = "front",
         visuals: str = "primitives",
+        config: Mapping[str, Any] | None = None,
+        episode_length: int | None = None,
+        robot: RobotVariation | None = None,
     ):
         self._view = View.checked(env_id, render_mode, width, height, camera, visuals)
-        humans = checked_population(humans)
+        self._made_of = Recipe.checked(env_id, impl, humans, config, episode_length, robot)
         refuse_fork()
-        self._made_of = (env_id, choose_impl(impl, traced=False), humans)
-        self._programs = _programs(*self._made_of)
+        self._programs = _programs(self._made_of)
         self.render_mode = render_mode
         env = self._programs.env
         self.action_space, self.observation_space = spaces_of(env)
@@ -117,7 +124,7 @@ class GymnasiumEnv(gymnasium.Env):
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         vars(self).update(kept)
-        self._programs, self._pictures = _programs(*self._made_of), None
+        self._programs, self._pictures = _programs(self._made_of), None
 
     @property
     def core(self) -> agym_jax.Env:

@@ -27,7 +27,7 @@ from agym_jax.registry import parse
 class PettingZooEnv(ParallelEnv):
     """One environment of an environment in which robot and person act.
 
-    Episodes are truncated for both after 200 steps; they terminate only when the physics fails.
+    Episodes are truncated for both after 200 steps (``episode_length``); they terminate only when the physics fails.
 
     Args:
         env_id: as in ``agym_jax.list_envs()``, one with ``Human``.

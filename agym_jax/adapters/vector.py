@@ -9,7 +9,7 @@ On a CPU the physics is C MuJoCo's, in threads; on an NVIDIA GPU it is MuJoCo Wa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from gymnasium.vector.utils import batch_space
 import agym_jax
 from agym_jax.adapters.common import (
     RENDER_MODES,
+    Recipe,
     View,
     begun,
     checked_actions,
@@ -32,13 +33,13 @@ from agym_jax.adapters.common import (
     spaces_of,
 )
 from agym_jax.errors import ArgumentError, checked_count
-from agym_jax.human.population import Population, checked_population
-from agym_jax.sim.physics import choose_impl
+from agym_jax.human.population import Population
+from agym_jax.variation import RobotVariation
 from agym_jax.wrappers import vectorize
 
 
 class _Programs(NamedTuple):
-    """A batch and its functions, compiled where they can be; all instances of an id and a size share them."""
+    """A batch and its functions, compiled where they can be; all of a size that are made of the same share them."""
 
     envs: Any
     reset: Any
@@ -46,9 +47,9 @@ class _Programs(NamedTuple):
 
 
 @cache
-def _programs(env_id: str, num_envs: int, impl: str, humans: Population) -> _Programs:
-    envs = vectorize(agym_jax.make(env_id, impl=impl, humans=humans), num_envs)
-    if impl == "native":
+def _programs(recipe: Recipe, num_envs: int) -> _Programs:
+    envs = vectorize(recipe.make(), num_envs)
+    if recipe.impl == "native":
         return _Programs(envs, envs.reset, envs.step)
     return _Programs(envs, jax.jit(envs.reset), jax.jit(envs.step))
 
@@ -74,10 +75,13 @@ class GymnasiumVectorEnv(VectorEnv):
         height: of pictures [pixels].
         camera: name or number of the camera.
         visuals: of the robot in pictures, see ``agym_jax.rendering.meshes``.
+        config: weights and thresholds of the task, see ``agym_jax.make``.
+        episode_length: control steps of an episode, see ``agym_jax.make``.
+        robot: how robots vary, see ``agym_jax.make``.
 
     Raises:
-        UnknownNameError: there is no such id, or there are no such looks.
-        ArgumentError: a number of environments, a population or a size of pictures that makes no sense.
+        UnknownNameError: there is no such id or setting, or there are no such looks.
+        ArgumentError: a number of environments, a population, a setting, a length or a size of pictures that makes no sense.
         RenderModeError: there is no such render mode.
         ImplementationError: there is no such physics, or it is not installed.
     """
@@ -99,12 +103,15 @@ class GymnasiumVectorEnv(VectorEnv):
         height: int = 360,
         camera: str | int = "front",
         visuals: str = "primitives",
+        config: Mapping[str, Any] | None = None,
+        episode_length: int | None = None,
+        robot: RobotVariation | None = None,
     ):
         self.num_envs = checked_count("num_envs", num_envs)
         self._view = View.checked(env_id, render_mode, width, height, camera, visuals)
+        recipe = Recipe.checked(env_id, impl, humans, config, episode_length, robot)
         refuse_fork()
-        impl = choose_impl(impl, traced=False)
-        self._programs = _programs(env_id, self.num_envs, impl, checked_population(humans))
+        self._programs = _programs(recipe, self.num_envs)
         self.render_mode = render_mode
         env = self.core
         self.single_action_space, self.single_observation_space = spaces_of(env)

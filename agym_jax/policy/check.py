@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from agym_jax.changes import describe, flags_of
 from agym_jax.errors import PolicyEnvironmentError, PolicyLayoutError
 from agym_jax.policy.agents import parts
 from agym_jax.policy.policy import Policy
@@ -37,13 +38,13 @@ def check_policy(
         policy: to check.
         env: environment that it must fit.
         path: of its file, for the error.
-        any_env: accept a policy of another environment whose observation layout and action size
-            agree.
+        any_env: accept a policy of another environment, or one with other settings, whose observation layout and
+            action size agree.
         agent: whom it shall move: "robot", "human", or "joint" for both; None = all who act.
 
     Raises:
         PolicyEnvironmentError: trained for another task, robot or agent (a robot's policy fits the
-            still and the active person of its pair).
+            still and the active person of its pair), or with other settings, people or length of episodes.
         PolicyLayoutError: reads another observation layout, or has other sizes.
     """
     agents = parts(env)
@@ -65,6 +66,14 @@ def check_policy(
             f"{path} was trained in {trained_in!r}, not in {env.name!r}. What fits was trained in "
             f"{' or '.join(map(repr, fitting))}. Use --env-name {trained_in}, or train one: "
             f"{train_command(env.name)}"
+        )
+    theirs_changed, ours_changed = policy.info.get("changes", {}), getattr(env, "changes", {})
+    if not any_env and (differ := describe(theirs_changed, ours_changed)):
+        flags = flags_of(theirs_changed)
+        remedy = f"Make the environment as it was there ({flags})" if flags else "Leave them out"
+        raise PolicyEnvironmentError(
+            f"{path} was trained in {trained_in!r} with other settings: {differ}. {remedy}, or run the policy here all "
+            f"the same: --any-env, or load_policy without env."
         )
     layout = policy.info.get("layout")
     if layout not in (part.layout, part.former_layout):

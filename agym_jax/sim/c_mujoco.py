@@ -31,7 +31,7 @@ from agym_jax.sim.episode import model_fields
 from agym_jax.sim.native_drive import FORCES, DriveProgram, afterwards
 from agym_jax.sim.scene import Scene
 from agym_jax.sim.sensing import ContactSums, motion_of, read_contacts, sample_poses, total_contacts
-from agym_jax.state import Episode, strong
+from agym_jax.state import MOVING, Episode, strong
 
 ROWS = (32, 32)
 """Of the slot of a single environment, and of those of a batch, unless the task has its own ``cpu_rows``. More spare calls;
@@ -47,7 +47,7 @@ POSES = ("xpos", "xmat", "xquat", "xanchor", "xaxis", "site_xpos", "geom_xpos", 
 SAMPLED = ("site_xpos", "xquat", "xpos", "xmat")
 """Fields that ``sample_poses`` reads after every physics step."""
 People = Any
-"""Of an episode all that stays as it was drawn: ``Episode`` without target and clock."""
+"""Of an episode all that stays as it was drawn: ``Episode`` without what is ``MOVING``."""
 
 
 def _field(name: str) -> Any:
@@ -380,8 +380,8 @@ class Slot:
 
 def people_of(episode: Episode) -> People:
     """What of an episode stays as it was drawn."""
-    nothing: Any = None
-    return dataclasses.replace(episode, human_target=nothing, step=nothing)
+    nothing: Any = dict.fromkeys(MOVING)
+    return dataclasses.replace(episode, **nothing)
 
 
 def _own_model(scene: Scene) -> mujoco.MjModel:

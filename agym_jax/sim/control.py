@@ -25,6 +25,7 @@ from agym_jax.sim.motors import Aim, Motors
 from agym_jax.sim.scene import Scene
 from agym_jax.spec import Control, HumanSpec, Task
 from agym_jax.state import Episode
+from agym_jax.variation import delayed
 
 ARM = ("shoulder_y", "shoulder_x", "shoulder_z", "elbow_x")
 """Joints whose limits depend on each other, in the order of ``human.limits``."""
@@ -40,11 +41,13 @@ LIKE_RIGHT = {
 class ControlTargets:
     """What one control step asks of the joints."""
 
-    action: Array  # clipped to [-1, 1]                                       (n_action,)
+    action: Array  # clipped to [-1, 1], as sent                              (n_action,)
     goal: Array  # of the robot's joints, within their limits [rad]           (n_arm,)
     load: Array  # on them: torque of what the tool weighs [N m]              (n_arm,)
     target: Array  # of the muscles, tremor included [rad]                    (n_person,)
     hold: Array  # the same without tremor, to be remembered [rad]            (n_person,)
+    sent: Array | None = None  # the robot's actions under way, see ``Episode``  (longest, n_arm)
+    bound: Array | None = None  # of the motors' torque, if not the task's [N m]  ()
 
 
 def checked_action(action: Any, sizes: dict[str, int], name: str) -> Any:
@@ -129,10 +132,14 @@ class Controller:
         """
         qpos, n_arm = data.qpos, len(self.index.robot_qpos)
         action = jnp.clip(jnp.where(jnp.isfinite(action), action, 0.0), -1.0, 1.0)
-        goal = self.robot_goal(qpos[self.index.robot_qpos], action[:n_arm])
+        arrived, sent = delayed(episode.robot, episode.sent, action[:n_arm])
+        goal = self.robot_goal(qpos[self.index.robot_qpos], arrived)
         q = qpos[self.index.human_qpos]
         torque = jnp.zeros(n_arm) if load is None else self.load_torque(data, *load)
-        return ControlTargets(action, goal, torque, *self.human_target(episode, q, action[n_arm:]))
+        target, hold = self.human_target(episode, q, action[n_arm:])
+        strength = None if episode.robot is None else episode.robot.strength
+        bound = None if strength is None else self.control.max_torque * strength
+        return ControlTargets(action, goal, torque, target, hold, sent, bound)
 
     def load_torque(self, data: Any, weight: Any, point: Any, xp: Any = jnp) -> Any:
         """Torque of a weight on the first tool about the robot's joints [N m] (n_arm,).
@@ -189,9 +196,14 @@ class Controller:
         moving = muscles.is_moving(human.tremor, self.active)
         return muscles.muscles_of(self.spec, human.strength, moving, human.at_joints)
 
-    def aim(self, goal: Any) -> Aim:
-        """What the robot's motors are to do to reach these angles [rad] (n_arm,)."""
-        return Aim(goal, self.control.rate, self.control.max_torque)
+    def aim(self, goal: Any, bound: Any = None) -> Aim:
+        """What the robot's motors are to do.
+
+        Args:
+            goal: angles to reach [rad] (n_arm,).
+            bound: of their torques, if not the task's [N m] ().
+        """
+        return Aim(goal, self.control.rate, self.control.max_torque if bound is None else bound)
 
     def limit_torque(self, q: Array, v: Array) -> Array:
         """Pose-dependent limits of the arms: a torque beside the muscles' [N m] (n_person,).

@@ -19,9 +19,10 @@ from agym_jax.sim.motors import implicit_armature
 from agym_jax.sim.scene import Scene
 from agym_jax.spec import HumanSpec
 from agym_jax.state import Episode
+from agym_jax.variation import RobotDraw, nothing_sent
 
-EpisodeSample = tuple[population.Human, human_pose.BodyPose, Placement]
-"""Who the person is, how they sit or lie, and where the robot starts."""
+EpisodeSample = tuple[population.Human, human_pose.BodyPose, Placement, RobotDraw | None]
+"""Who the person is, how they sit or lie, where the robot starts, and how it is other than usual."""
 
 
 def sample_episode(
@@ -30,6 +31,7 @@ def sample_episode(
     spec: HumanSpec,
     humans: population.Population,
     bank: Placement,
+    robot: RobotDraw | None = None,
 ) -> EpisodeSample:
     """Draw all that makes one episode another than the next.
 
@@ -39,13 +41,14 @@ def sample_episode(
         spec: the person's part in the task.
         humans: the population.
         bank: placements, K rows.
+        robot: of the episode, if robots vary.
     """
     human = population.sample_human(
         keys[0], humans, len(scene.moving), spec.tremor_amplitude, spec.impairments
     )
     pose = human_pose.sample_pose(keys[1], spec, human)
     row = jax.random.randint(keys[2], (), 0, bank.arm_angles.shape[0])
-    return human, pose, jax.tree.map(lambda x: jnp.asarray(x)[row], bank)
+    return human, pose, jax.tree.map(lambda x: jnp.asarray(x)[row], bank), robot
 
 
 def make_episode(scene: Scene, spec: HumanSpec, drawn: EpisodeSample, xp: Any = jnp) -> Episode:
@@ -58,11 +61,12 @@ def make_episode(scene: Scene, spec: HumanSpec, drawn: EpisodeSample, xp: Any = 
         xp: numpy or jax.numpy. A body is thousands of small operations, which NumPy has done before XLA has
             compiled them.
     """
-    human, pose, placement = drawn if xp is jnp else jax.device_get(drawn)
+    human, pose, placement, robot = drawn if xp is jnp else jax.device_get(drawn)
     angles = human_pose.start_angles(pose, scene.moving, human.limit_scale, xp)
     rows = human_rows(scene, spec, human, pose, xp)
     rows, angles = jax.tree.map(lambda x: xp.asarray(x, np.float32), (rows, angles))
-    return Episode(human, pose, rows, placement, angles, angles, xp.int32(0))
+    sent = nothing_sent(robot, len(scene.index.robot_joint), xp)
+    return Episode(human, pose, rows, placement, angles, angles, xp.int32(0), robot, sent)
 
 
 def start_qpos(scene: Scene, episode: Episode) -> Array:
@@ -91,7 +95,7 @@ def geom_sizes(scene: Scene, episode: Episode) -> Array:
 
 
 def model_fields(scene: Scene, model: Any, episode: Episode, muscles: Muscles) -> dict[str, Array]:
-    """The fields of a model in which this episode's person and robot base are written.
+    """The fields of a model in which this episode's person, robot base and what varies of the robot are written.
 
     Args:
         scene: of the pair.
@@ -105,7 +109,7 @@ def model_fields(scene: Scene, model: Any, episode: Episode, muscles: Muscles) -
     def of(name: str) -> Array:
         return jnp.asarray(getattr(model, name), jnp.float32)
 
-    return {
+    written = {
         "body_pos": of("body_pos").at[bodies].set(rows.body_pos)
         .at[np.r_[index.robot_base, index.mount]].set(place.base_pos),
         "body_quat": of("body_quat").at[bodies].set(rows.body_quat)
@@ -126,6 +130,15 @@ def model_fields(scene: Scene, model: Any, episode: Episode, muscles: Muscles) -
         "body_invweight0": _blend(scene, "body_invweight0", episode.human.sex),
         "dof_invweight0": _blend(scene, "dof_invweight0", episode.human.sex),
     }  # fmt: skip
+    if (robot := episode.robot) is None:
+        return written
+    if robot.strength is not None:
+        bound = written["dof_frictionloss"].at[index.robot_dof].multiply(robot.strength)
+        written["dof_frictionloss"] = bound
+    if robot.friction is not None:
+        rubs = of("pair_friction").at[index.robot_pair].multiply(robot.friction)
+        written["pair_friction"] = rubs
+    return written
 
 
 def _blend(scene: Scene, name: str, sex: Array) -> Array:

@@ -94,6 +94,7 @@ class Index:
     robot_dof: np.ndarray  # dof addresses                                    (n_arm,)
     robot_base: int  # body id that a placement moves
     mount: np.ndarray  # body ids of what carries the base, if it is solid     (0 or 1,)
+    robot_pair: np.ndarray  # contact pairs of tools and robot with anything   (n,)
     torso_site: int  # the robot's reference point
     tools: tuple[ToolIndex, ...]  # one for each arm
     robot_human: np.ndarray  # sensors: robot links against the person       (n,)
@@ -143,6 +144,7 @@ class Index:
             robot_dof=model.jnt_dofadr[robot_joint],
             robot_base=int(model.body_rootid[model.site_bodyid[torso]]),
             mount=np.unique(model.geom_bodyid[_ids(model, OBJ.mjOBJ_GEOM, mount)]),
+            robot_pair=_pairs_of(model, ("robot/", *prefixes)),
             torso_site=torso,
             tools=tuple(
                 ToolIndex.of(model, task, arm, prefix, pairs)
@@ -166,6 +168,14 @@ class Index:
         return np.concatenate([*(tool.on_human for tool in self.tools), self.robot_human])
 
     TOUCH = 6  # numbers of a contact sensor: force [N] (3), position [m] (3)
+
+
+def _pairs_of(model: mujoco.MjModel, prefixes: tuple[str, ...]) -> np.ndarray:
+    """Ids of the contact pairs of geoms whose names begin with one of these, but for an empty one (n,)."""
+    starts = tuple(x for x in prefixes if x)
+    geoms = np.stack([model.pair_geom1, model.pair_geom2], -1)
+    names = [[mujoco.mj_id2name(model, OBJ.mjOBJ_GEOM, x) or "" for x in pair] for pair in geoms]
+    return np.array([i for i, x in enumerate(names) if any(n.startswith(starts) for n in x)], int)
 
 
 def _ids(model: mujoco.MjModel, kind: mujoco.mjtObj, names: Iterable[str]) -> np.ndarray:

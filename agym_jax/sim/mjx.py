@@ -113,7 +113,7 @@ class MjxPhysics:
         index, model = self.scene.index, self.model_of(episode)
         muscles = self.controller.muscles(episode.human)
         motors, human = self.controller.motors, self.controller.human_motors
-        aim = self.controller.aim(targets.goal)
+        aim = self.controller.aim(targets.goal, targets.bound)
         pulls = Aim(targets.target, muscles.rate, muscles.bound, muscles.damping)
 
         def substep(carry: tuple[mjx.Data, ContactSums], _: None) -> tuple[tuple, PoseSample]:

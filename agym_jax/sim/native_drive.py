@@ -108,15 +108,16 @@ class DriveProgram:
         """``qfrc_bias`` with, for the robot's joints, what their motors worked against [N m] (rows, nv)."""
         bias = out["qfrc_bias"].copy()
         forces = (out[name][:, self._robot] for name in FORCES)
-        bias[:, self._robot] = self._load(last.rows, np.asarray(targets.load), forces, np)
+        besides, bound = jax.tree.map(np.asarray, (targets.load, targets.bound))
+        bias[:, self._robot] = self._load(last.rows, besides, bound, forces, np)
         return bias
 
-    def _load(self, rows: Any, besides: Any, forces: Iterable[Any], xp: Any) -> Any:
+    def _load(self, rows: Any, besides: Any, bound: Any, forces: Iterable[Any], xp: Any) -> Any:
         """Torque against which the robot's motors worked in the last physics step [N m] (..., n_arm)."""
         nv, robot = self.nv, self._robot
         velocity, torque = rows[..., :nv][..., robot], rows[..., nv : 2 * nv][..., robot]
         solref = rows[..., 3 * nv : -1].reshape(*rows.shape[:-1], nv, 2)[..., robot, :]
-        bound = self._controller.control.max_torque
+        bound = self._controller.control.max_torque if bound is None else bound[..., None]
         drive = Drive(velocity, torque - besides, solref, None, bound)
         smooth, constraint, acceleration = forces
         return self._controller.motors.bias(drive, smooth, constraint, acceleration, xp)
@@ -128,13 +129,17 @@ class DriveProgram:
         qpos, qvel, inertia, bias, smooth, constraint, acceleration, fresh = parts
         robot = self._robot
         forces = (x[:, robot] for x in (smooth, constraint, acceleration))
-        load = jnp.where(fresh > 0, bias[:, robot], self._load(last, targets.load, forces, jnp))
+        load = jnp.where(
+            fresh > 0, bias[:, robot], self._load(last, targets.load, targets.bound, forces, jnp)
+        )
         sound = jnp.all(abs(jnp.concatenate([qpos, qvel], 1)) < mujoco.mjMAXVAL, 1)
 
         @jax.vmap
-        def drive_robot(matrix: Array, load: Array, q: Array, v: Array, goal: Array) -> Drive:
+        def drive_robot(
+            matrix: Array, load: Array, q: Array, v: Array, goal: Array, bound: Array | None
+        ) -> Drive:
             motors = controller.motors
-            aim = controller.aim(goal)
+            aim = controller.aim(goal, bound)
             return motors.drive(motors.inertia(matrix), load, q, v, aim, rolled=True)
 
         @jax.vmap
@@ -148,7 +153,8 @@ class DriveProgram:
         whole = [qvel, jnp.zeros_like(qvel), jnp.zeros_like(qvel)]
         solref = jnp.broadcast_to(self._solref, (len(qvel), *self._solref.shape))
         q, v = qpos[:, index.robot_qpos], qvel[:, robot]
-        drives = [(robot, drive_robot(inertia, load, q, v, targets.goal), targets.load)]
+        pull = drive_robot(inertia, load, q, v, targets.goal, targets.bound)
+        drives = [(robot, pull, targets.load)]
         if len(index.human_dof):
             q, v = qpos[:, index.human_qpos], qvel[:, index.human_dof]
             load = bias[:, index.human_dof]

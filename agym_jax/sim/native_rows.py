@@ -15,7 +15,7 @@ from agym_jax.human.regions import no_forces
 from agym_jax.jax_settings import full_precision
 from agym_jax.sim.c_mujoco import QUICKLY, NativeData, NativePhysics, Slot, people_of
 from agym_jax.sim.episode import EpisodeSample, make_episode
-from agym_jax.state import Episode, State, moved, raw_key
+from agym_jax.state import MOVING, Episode, State, moved, raw_key
 
 
 class Stages(NamedTuple):
@@ -104,7 +104,7 @@ class NativeRows:
         physics = self.physics
         numbers = np.zeros((rows, physics.layout[-1][2]))
         seen, _ = jax.eval_shape(self._init_task, key, numbers, episode)
-        people, moving = people_of(episode), (episode.human_target, episode.step)
+        people, moving = people_of(episode), _moving(episode)
         _, muscles = jax.eval_shape(physics.written, people)
         muscles, seen = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), (muscles, seen))
         action = np.zeros((rows, self._action_size), np.float32)
@@ -178,7 +178,7 @@ class NativeRows:
             action: theirs, float32 (n, n_action).
 
         Returns:
-            Fields of ``State`` that change, the episode's as ``human_target`` and ``step`` (n, ...).
+            Fields of ``State`` that change, the episode's by their names in ``MOVING`` (n, ...).
         """
         if slot.rows in self._preparing:
             self._preparing[slot.rows].join()
@@ -186,7 +186,7 @@ class NativeRows:
         rows = lambda tree: jax.tree.map(lambda x: slot.fill(np.asarray(x)[part]), tree)  # noqa: E731
         slot.load(episode, part)
         numbers = np.asarray(state.data.numbers)[part]
-        moving = rows((episode.human_target, episode.step))
+        moving = rows(_moving(episode))
         task, quats = rows((state.task, state.quats))
         before = slot.fill(numbers)
         targets = self._targets(slot.people, moving, before, task, slot.fill(action))
@@ -194,9 +194,8 @@ class NativeRows:
         after, clock = self._evaluate(
             slot.people, moving, slot.fill(numbers), sensors, samples, task, quats, targets
         )
-        found = jax.tree.map(
-            lambda x: np.asarray(x)[:n], after | {"human_target": targets.hold, "step": clock}
-        )
+        moving = dict(zip(MOVING, (targets.hold, clock, targets.sent), strict=True))
+        found = jax.tree.map(lambda x: np.asarray(x)[:n], after | moving)
         return found | {"data": NativeData(numbers, self.physics.layout)}
 
     # -- one environment -------------------------------------------------------------------------
@@ -228,6 +227,12 @@ class NativeRows:
         return moved(state, jax.tree.map(lambda x: x[0], fields))
 
 
+def _moving(episode: Episode) -> tuple[Any, ...]:
+    """What of an episode a step changes."""
+    return tuple(getattr(episode, name) for name in MOVING)
+
+
 def _episode(people: Any, moving: Any) -> Episode:
     """An episode from what stays and what moves."""
-    return dataclasses.replace(people, human_target=moving[0], step=moving[1])
+    fields: Any = dict(zip(MOVING, moving, strict=True))
+    return dataclasses.replace(people, **fields)

@@ -128,7 +128,16 @@ class HumanSpec:
 
 @dataclass(frozen=True)
 class Preferences:
-    """Weights of the human-preference terms. AG v0.1 config.ini [human_preferences]."""
+    """Weights of the human-preference terms. AG v0.1 config.ini [human_preferences].
+
+    Attributes:
+        velocity: weight of the speed of tool or hand [s/m].
+        force_nontarget: weight of forces on the person where no help is needed [1/N].
+        high_forces: weight of forces of 10 N and more where help is needed [1/N].
+        food_hit: what each particle of food or water that hits the person costs [1].
+        food_velocities: weight of the speed of particles that the mouth takes [s/m].
+        dressing_force: weight of the garment's forces on the person [1/N].
+    """
 
     velocity: float = 0.25
     force_nontarget: float = 0.01

@@ -36,12 +36,21 @@ _RAD = math.pi / 180.0
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. AG v0.1 config.ini [arm_manipulation] unless said."""
+    """Weights and thresholds. AG v0.1 config.ini [arm_manipulation] unless said.
+
+    Attributes:
+        distance_human: weight of the distances from elbow to waist and from hand to hips [1/m].
+        distance_tool: weight of the distance from each tool to the arm [1/m].
+        action: weight of the squared action [1].
+        close: minus the sum of both distances from which on the arm is where it belongs [m].
+        pressure: weight of high pressures [1/N].
+        preferences: weights of what people prefer.
+    """
 
     distance_human: float = 0.5  # distance_human_weight
-    distance_tool: float = 0.25  # distance_end_effector_weight, of each tool
+    distance_tool: float = 0.25  # distance_end_effector_weight
     action: float = 0.01  # action_weight
-    close: float = -0.7  # task_success_threshold [m]
+    close: float = -0.7  # task_success_threshold
     pressure: float = 0.01  # [human_preferences] high_pressures_weight
     preferences: Preferences = Preferences()
 

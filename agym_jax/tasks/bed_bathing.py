@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from agym_jax.errors import SpecError
 from agym_jax.furniture import BED
 from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.observe import column, observation, part
@@ -32,19 +33,43 @@ _H = math.sqrt(0.5)
 _RAD = math.pi / 180.0
 RINGS, PER_RING = 11, 11
 """Most rings on a limb, and points on a ring, that any drawn person has room for."""
+CLOSEST = 0.03
+"""Distance of points from which on that is so [m]."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. AG v0.1 config.ini [bed_bathing] unless said."""
+    """Weights and thresholds. AG v0.1 config.ini [bed_bathing] unless said.
+
+    Attributes:
+        distance: weight of the distance from wiper to person [1/m].
+        action: weight of the squared action [1].
+        wiping: what each point that is wiped earns [1].
+        wiped: share of the points to be wiped for a success [1].
+        spacing: between points on the skin, at least 0.03 [m].
+        reach: how far from a contact of the pad points are wiped [m].
+        preferences: weights of what people prefer.
+    """
 
     distance: float = 1.0  # distance_weight
     action: float = 0.01  # action_weight
     wiping: float = 5.0  # wiping_reward_weight
-    wiped: float = 0.3  # task_success_threshold, of all points
-    spacing: float = 0.03  # [m] between points, AG bed_bathing.py generate_targets
-    reach: float = 0.025  # [m] from a contact of the pad, AG bed_bathing.py get_total_force
+    wiped: float = 0.3  # task_success_threshold
+    spacing: float = CLOSEST  # AG bed_bathing.py generate_targets
+    reach: float = 0.025  # AG bed_bathing.py get_total_force
     preferences: Preferences = Preferences()
+
+    def __post_init__(self) -> None:
+        """Refuse points for which there is no room.
+
+        Raises:
+            SpecError: they are closer together than ``CLOSEST``.
+        """
+        if self.spacing < CLOSEST:
+            raise SpecError(
+                f"BedBathing's spacing must be at least {CLOSEST} m, got {self.spacing}: a limb has room for "
+                f"{RINGS} rings of {PER_RING} points."
+            )
 
 
 @jax.tree_util.register_dataclass

@@ -70,11 +70,18 @@ LEFT_BESIDE = replace(
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. AG v0.1 config.ini [dressing] unless said."""
+    """Weights and thresholds. AG v0.1 config.ini [dressing] unless said.
+
+    Attributes:
+        dressing: weight of how far the sleeve has come along the arm [1/m].
+        action: weight of the squared action [1].
+        dressed: how far it must have come for a success [m].
+        preferences: weights of what people prefer.
+    """
 
     dressing: float = 1.0  # dressing_reward_weight
     action: float = 0.01  # action_weight
-    dressed: float = 0.4  # task_success_threshold [m]
+    dressed: float = 0.4  # task_success_threshold
     preferences: Preferences = Preferences()
 
 

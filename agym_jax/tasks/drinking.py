@@ -48,16 +48,29 @@ BOTTOM, TOP, RADIUS = -0.01, 0.115, 0.05
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. AG v0.1 config.ini [drinking] unless said."""
+    """Weights and thresholds. AG v0.1 config.ini [drinking] unless said.
+
+    Attributes:
+        distance: weight of the distance from the cup's rim to the mouth [1/m].
+        action: weight of the squared action [1].
+        tilt: weight of the cup's tilt [1/rad].
+        water: weight of what drops of water earn [1].
+        drunk: what each drop that is drunk earns [1].
+        spilled: what each drop that is spilled costs [1].
+        mouth: distance from the mouth at which a drop is drunk [m].
+        fallen: height below which a drop is spilled [m].
+        share: share of the drops to be drunk for a success [1].
+        preferences: weights of what people prefer.
+    """
 
     distance: float = 1.0  # distance_weight
     action: float = 0.01  # action_weight
     tilt: float = 0.1  # cup_tilt_weight
     water: float = 1.0  # drinking_reward_weight
-    drunk: float = 10.0  # for each drop, AG drinking.py get_water_rewards
+    drunk: float = 10.0  # AG drinking.py get_water_rewards
     spilled: float = 1.0  # the same
-    mouth: float = 0.03  # [m], the same
-    fallen: float = 0.5  # height below which a drop is spilled [m], the same
+    mouth: float = 0.03  # the same
+    fallen: float = 0.5  # the same
     share: float = 0.75  # task_success_threshold
     preferences: Preferences = Preferences()
 

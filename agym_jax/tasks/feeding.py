@@ -45,15 +45,27 @@ BOWL_BOX = ((0.0, 0.0, 0.03), (0.064, 0.064, 0.03))
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. AG v0.1 config.ini [feeding] unless said."""
+    """Weights and thresholds. AG v0.1 config.ini [feeding] unless said.
+
+    Attributes:
+        distance: weight of the distance from spoon to mouth [1/m].
+        action: weight of the squared action [1].
+        food: weight of what pieces of food earn [1].
+        eaten: what each piece that is eaten earns [1].
+        spilled: what each piece that is spilled costs [1].
+        mouth: distance from the mouth at which a piece is eaten [m].
+        fallen: height below which a piece is spilled [m].
+        share: share of the pieces to be eaten for a success [1].
+        preferences: weights of what people prefer.
+    """
 
     distance: float = 1.0  # distance_weight
     action: float = 0.01  # action_weight
     food: float = 1.0  # food_reward_weight
-    eaten: float = 20.0  # for each piece, AG feeding.py get_food_rewards
+    eaten: float = 20.0  # AG feeding.py get_food_rewards
     spilled: float = 5.0  # the same
-    mouth: float = 0.02  # [m], the same
-    fallen: float = 0.5  # height below which a piece is spilled [m], the same
+    mouth: float = 0.02  # the same
+    fallen: float = 0.5  # the same
     share: float = 0.75  # task_success_threshold
     preferences: Preferences = Preferences()
 

@@ -30,10 +30,16 @@ _RAD = math.pi / 180.0
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. The tutorial's [reaching] section."""
+    """Weights and thresholds. The tutorial's [reaching] section.
+
+    Attributes:
+        distance: weight of the distance from hand to mouth [1/m].
+        reached: distance from hand to mouth that is a success [m].
+        preferences: weights of what people prefer.
+    """
 
     distance: float = 1.0  # distance_weight
-    reached: float = 0.03  # task_success_threshold [m]
+    reached: float = 0.03  # task_success_threshold
     preferences: Preferences = Preferences()
 
 

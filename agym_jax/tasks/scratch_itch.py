@@ -28,16 +28,28 @@ _RAD = math.pi / 180.0
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. AG v0.1 config.ini [scratch_itch] unless said."""
+    """Weights and thresholds. AG v0.1 config.ini [scratch_itch] unless said.
+
+    Attributes:
+        distance: weight of the distance from tool to itch [1/m].
+        action: weight of the squared action [1].
+        tool_force: weight of the force at the itch [1/N].
+        scratch: weight of the force of a scratch that counts [1/N].
+        scratches: how many make a success [1].
+        target_radius: how far from the itch a contact may be [m].
+        stroke: how far from the last scratch the next one must be [m].
+        gentle: largest force of a scratch that counts [N].
+        preferences: weights of what people prefer.
+    """
 
     distance: float = 1.0  # distance_weight
     action: float = 0.01  # action_weight
     tool_force: float = 0.01  # tool_force_weight
     scratch: float = 2.0  # scratch_reward_weight
     scratches: int = 25  # task_success_threshold
-    target_radius: float = 0.025  # [m], AG scratch_itch.py get_total_force
-    stroke: float = 0.01  # [m] from the last rewarded contact, AG scratch_itch.py step
-    gentle: float = 10.0  # [N], AG scratch_itch.py step
+    target_radius: float = 0.025  # AG scratch_itch.py get_total_force
+    stroke: float = 0.01  # AG scratch_itch.py step
+    gentle: float = 10.0  # AG scratch_itch.py step
     preferences: Preferences = Preferences()
 
 

@@ -48,12 +48,12 @@ class Wishes:
             return None
 
         def revise(drawn: EpisodeSample) -> EpisodeSample:
-            human, pose, placement = drawn
+            human, pose, placement, robot = drawn
             changes: dict[str, Any] = {k: np.float32(v) for k, v in asked.items() if k != "tremor"}
             if "tremor" in asked:
                 changes["tremor"] = trembling(np.asarray(human.tremor), asked["tremor"])
             chosen = replace(human, **changes)
-            return chosen, posed_like(spec, human, chosen, pose), placement
+            return chosen, posed_like(spec, human, chosen, pose), placement, robot
 
         return revise
 

@@ -45,7 +45,7 @@ def episode_of(env: agym_jax.Env, name: str, case: int) -> Episode:
     )  # fmt: skip
     body = jax.tree.map(jnp.float32, pose.typical(spec, sex, 1.0, 1.0, 1.0))
     place = dataclasses.replace(drawn.placement, arm_angles=jnp.asarray(kept[f"{name}_q"][case]))
-    episode = make_episode(env.scene, spec, (human, body, place), np)
+    episode = make_episode(env.scene, spec, (human, body, place, None), np)
     if name.startswith("Feeding"):
         return episode
     angles = kept[f"{name}_arm_q"][case]

@@ -46,7 +46,7 @@ def episode_of(env: agym_jax.Env, case: int) -> Episode:
     )  # fmt: skip
     body = jax.tree.map(jnp.float32, pose.typical(spec, sex, 1.0, 1.0, 1.0))
     place = dataclasses.replace(drawn.placement, arm_angles=jnp.asarray(kept["q"][case, 0]))
-    return make_episode(env.scene, spec, (human, body, place), np)
+    return make_episode(env.scene, spec, (human, body, place, None), np)
 
 
 def ours(masses: str, cases: Sequence[int] | None = None) -> Paths:

@@ -180,7 +180,7 @@ def test_a_policy_is_loaded_by_id_file_or_folder(tmp_path, monkeypatch, policy):
 def test_names_that_users_import_are_kept():
     """Frozen: a name here is in somebody's code. To rename one, leave the old one working."""
     assert sorted(agym_jax.__all__) == [
-        "AgymError", "Env", "State", "list_envs", "load_policy", "make", "register_envs",
+        "AgymError", "Env", "Population", "RobotVariation", "State", "list_envs", "load_policy", "make", "register_envs",
     ]  # fmt: skip
     assert sorted(agym_jax.policy.__all__) == [
         "Baseline", "Pair", "Policy", "baseline_policy", "check_policy", "load_policy",

@@ -38,6 +38,13 @@ def start_python(code: str, **options: Any) -> subprocess.Popen:
     return subprocess.Popen([sys.executable, "-c", PREAMBLE + code], text=True, **options)
 
 
+def _told(config: Any) -> dict[str, Any]:
+    """The settings that are other than the defaults."""
+    usual = type(config)()
+    fields = {x.name: getattr(config, x.name) for x in dataclasses.fields(config)}
+    return {name: value for name, value in fields.items() if value != getattr(usual, name)}
+
+
 def kill_in_training(env: Any, trainer: str, config: Any) -> None:
     """Train in another process, and kill it (SIGKILL) when it has written two checkpoints."""
     code = KILLED.format(
@@ -45,7 +52,7 @@ def kill_in_training(env: Any, trainer: str, config: Any) -> None:
         env=type(env).__name__,
         config=type(config).__name__,
         trainer=trainer,
-        fields=dataclasses.asdict(config),
+        fields=_told(config),
     )
     folder = Path(config.save_dir) / env.name / "checkpoints"
     with start_python(code, stderr=subprocess.DEVNULL) as process:

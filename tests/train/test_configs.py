@@ -12,12 +12,11 @@ from train.configs import (
     CoopConfig,
     PPOConfig,
     config_for,
-    env_name_in,
     parse_arguments,
-    parse_count,
     resolve,
 )
 from train.errors import ConfigError
+from train.flags import env_name_in, parse_count
 
 
 @pytest.mark.parametrize(
@@ -80,8 +79,8 @@ def test_the_environment_on_the_command_line_decides_the_defaults(monkeypatch):
     assert parse_arguments(["--env-name", "FeedingPR2-v0"]).lr == 0.5
     assert parse_arguments(["--env-name=FeedingPR2-v0", "--lr", "0.25"]).lr == 0.25
     assert parse_arguments(["--env-name", "MyTaskPR2-v0"]).lr == PPOConfig.lr
-    assert env_name_in(["--seed", "1"]) == PPOConfig.env_name
-    assert env_name_in(["--env_name", "X"]) == "X"
+    assert env_name_in(["--seed", "1"], "other") == "other"
+    assert env_name_in(["--env_name", "X"], "other") == "X"
 
 
 @pytest.mark.parametrize("share", [-0.5, 1.5])

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from agym_jax.changes import describe
 from agym_jax.data.npz import read_npz, write_npz
 from agym_jax.errors import DamagedFileError
 
@@ -129,7 +130,7 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
         raise CheckpointMismatchError(
             f"{path} has checkpoint format {meta.get('format')}, this version reads {FORMAT}. {advice}"
         )
-    theirs = meta["compatibility"]
+    theirs = {"changes": {}, **meta["compatibility"]}
     trainer = compatibility.get("trainer", theirs.get("trainer"))
     if theirs.get("trainer") != trainer:
         raise CheckpointMismatchError(
@@ -140,8 +141,10 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
     differ = [
         f"{name} is {theirs.get(name)!r}, this run has {value!r}"
         for name, value in compatibility.items()
-        if theirs.get(name) != value
+        if name != "changes" and theirs.get(name) != value
     ]
+    if changed := describe(theirs["changes"], compatibility.get("changes", {}), "in the run"):
+        differ.append(changed)
     if differ:
         raise CheckpointMismatchError(f"{path} does not fit: {'; '.join(differ)}. {advice}")
     try:

@@ -75,6 +75,7 @@ class CheckpointManager:
             "trainer": agents.trainer,
             "env": env.name,
             "layout": env.layout_version,
+            "changes": getattr(env, "changes", {}),
             **agents.compatibility(),
         }
         self._info = {
@@ -82,6 +83,7 @@ class CheckpointManager:
             "commit": record.commit(),
             "versions": record.versions(),
             "algorithm": agents.trainer,
+            "changes": getattr(env, "changes", {}),
         }
 
     def _folders(self) -> list[RunFolder]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
 import math
 import signal
 import sys
@@ -28,6 +29,7 @@ from agym_jax.interrupts import INTERRUPTED, deferred, raise_again
 from ..configs import Config, LearnConfig, parse_arguments, resolve, updates_in
 from ..envs import is_native, make_env, vectorize
 from ..errors import ConfigError
+from ..flags import made_of
 from ..learning.agents import Agents
 from ..learning.execution import STEPWISE, StepwiseEnv, compile_together, execution_of
 from ..learning.hosts import check_agreement, join_hosts, wait_for_hosts
@@ -62,7 +64,7 @@ def resolve_config(env: Any, config: Config) -> tuple[Config, Mesh | None]:
         )
     single = isinstance(env, StepwiseEnv) or is_native(env)
     mesh = None if single else device_mesh(config.devices)
-    config = dataclasses.replace(config, env_name=env.name)
+    config = dataclasses.replace(config, **made_of(env))
     return resolve(config, jax.default_backend(), mesh.size if mesh else 1), mesh
 
 
@@ -263,9 +265,8 @@ def _say_resumed(
 ) -> None:
     """Tell where a run goes on, and which settings differ from before."""
     progress.say(f"Continuing from step {steps:,} with fresh episodes (--fresh starts over).")
-    ours, theirs = dataclasses.asdict(config), meta.get("config", {})
+    ours, theirs = json.loads(json.dumps(dataclasses.asdict(config))), meta.get("config", {})
     for name, value in ours.items():
-        value = list(value) if isinstance(value, tuple) else value
         if name not in UNIMPORTANT and name in theirs and theirs[name] != value:
             progress.say(f"  {name} is now {value!r}; it was {theirs[name]!r}.")
 
@@ -280,7 +281,7 @@ def command_line(
     kind: type[Config],
     train: Callable[[Any, Config, Progress], TrainResult],
     arguments: Sequence[str] | None,
-    make: Callable[[str, str], Any] = make_env,
+    make: Callable[..., Any] = make_env,
     prog: str | None = None,
 ) -> int:
     """The command line of a trainer.
@@ -289,7 +290,7 @@ def command_line(
         kind: of its settings.
         train: the trainer: environment, settings and progress -> result.
         arguments: words; None for those of the program.
-        make: id and physics -> environment.
+        make: id, physics and options -> environment.
         prog: what was typed to start it, for the help.
 
     Returns:
@@ -305,7 +306,7 @@ def command_line(
         config = parse_arguments(words, kind, prog, jax.default_backend())  # JAX knows it only now
         if config.save_dir is not None and jax.process_index() == 0:
             RunFolder(config.save_dir, config.env_name.rpartition(":")[2]).check(config.fresh)
-        env = make(config.env_name, config.impl)
+        env = make(config.env_name, config.impl, **config.options())
         raise_again()
         result = train(env, config, for_terminal())
     except AgymError as error:

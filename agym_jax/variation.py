@@ -1,0 +1,190 @@
+"""How robots differ from episode to episode: friction, strength of motors, latency, noise of sensors. Off by default.
+
+A ``RobotVariation`` says from which ranges; what is drawn at reset is a ``RobotDraw`` in the state of the episode. What is not
+varied is None there, so it costs nothing and changes nothing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from agym_jax import observe
+from agym_jax.errors import ArgumentError
+
+RANGE = {
+    "friction": (0.0, math.inf), "strength": (0.0, math.inf), "latency": (0, 20),
+    "position_noise": (0.0, math.inf), "angle_noise": (0.0, math.inf), "force_noise": (0.0, math.inf),
+}  # fmt: skip
+"""Least and largest values of the ranges; strength is above the least."""
+NOISE = {"m": "position_noise", "rad": "angle_noise", "1 (wxyz)": "angle_noise", "N": "force_noise"}
+"""Unit of an observation's column -> the noise that it has. Columns of other units have none."""
+QUATERNION = "1 (wxyz)"
+BEYOND = 0x0B07
+"""What is folded into an episode's key for the robot's draw: the other draws are as without it."""
+
+
+@dataclass(frozen=True)
+class RobotVariation:
+    """Ranges, (low, high), from which each episode draws its robot, uniformly. By default robots do not vary.
+
+    Attributes:
+        friction: factor of the friction of tool and robot with all that they touch [1].
+        strength: factor of the largest torque of the motors [1].
+        latency: by how much later the robot's actions arrive [control steps].
+        position_noise: standard deviation of noise on what the robot observes of positions [m].
+        angle_noise: of joint angles, and of turns of orientations [rad].
+        force_noise: of forces [N].
+    """
+
+    friction: tuple[float, float] = (1.0, 1.0)
+    strength: tuple[float, float] = (1.0, 1.0)
+    latency: tuple[int, int] = (0, 0)
+    position_noise: tuple[float, float] = (0.0, 0.0)
+    angle_noise: tuple[float, float] = (0.0, 0.0)
+    force_noise: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that nothing can be drawn from.
+
+        Raises:
+            ArgumentError: a range is no two numbers in order, or beyond what makes sense.
+        """
+        for field in dataclasses.fields(self):
+            _check_range(field.name, getattr(self, field.name))
+
+    def varies(self, *names: str) -> bool:
+        """Whether any of these, or anything at all, is other than its default."""
+        fields = [x for x in dataclasses.fields(self) if not names or x.name in names]
+        return any(getattr(self, x.name) != x.default for x in fields)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class RobotDraw:
+    """The robot of one episode; None is what is not varied."""
+
+    friction: Any = None  # factor                                                    ()
+    strength: Any = None  # factor                                                    ()
+    latency: Any = None  # [control steps], int32                                    ()
+    noise: Any = None  # standard deviations: position [m], angle [rad], force [N]    (3,)
+    key: Any = None  # of the noise, uint32                                           (2,)
+    longest: int = dataclasses.field(default=0, metadata={"static": True})  # latency there may be
+
+
+def checked_variation(robot: Any) -> RobotVariation | None:
+    """The variation that was asked for; None if robots do not vary.
+
+    Raises:
+        ArgumentError: it is no ``RobotVariation``.
+    """
+    if robot is None:
+        return None
+    if not isinstance(robot, RobotVariation):
+        raise ArgumentError(
+            f"robot must be a RobotVariation, got {robot!r}. Write robot=agym_jax.RobotVariation(friction=(0.8, 1.2)); "
+            f"which robot it is says the id."
+        )
+    return robot if robot.varies() else None
+
+
+def _check_range(name: str, value: Any) -> None:
+    kind = int if name == "latency" else (int, float)
+    least, most = RANGE[name]
+    numbers = isinstance(value, tuple) and len(value) == 2
+    numbers = numbers and all(isinstance(x, kind) and not isinstance(x, bool) for x in value)
+    numbers = numbers and all(map(math.isfinite, value)) and (name != "strength" or value[0] > 0)
+    if numbers and least <= value[0] <= value[1] <= most:
+        return
+    sort = "whole" if name == "latency" else "finite"
+    above = "<" if name == "strength" else "<="
+    below = "" if math.isinf(most) else f" <= {most}"
+    raise ArgumentError(
+        f"{name} must be a tuple of two {sort} numbers (low, high) with {least:g} {above} low <= high{below}, got {value!r}."
+    )
+
+
+def sample_robot(key: jax.Array, variation: RobotVariation | None) -> RobotDraw | None:
+    """Draw the robot of an episode.
+
+    Args:
+        key: of the episode, typed or raw; it is not used up.
+        variation: the ranges; None for robots that do not vary.
+    """
+    if variation is None:
+        return None
+    keys = jax.random.split(jax.random.fold_in(key, BEYOND), 5)
+
+    def draw(i: int, name: str) -> Any:
+        low, high = getattr(variation, name)
+        return jax.random.uniform(keys[i], (), minval=low, maxval=high)
+
+    found: dict[str, Any] = {
+        name: draw(i, name)
+        for i, name in enumerate(("friction", "strength"))
+        if variation.varies(name)
+    }
+    if variation.varies("latency"):
+        low, high = variation.latency
+        found |= {"latency": jax.random.randint(keys[2], (), low, high + 1), "longest": high}
+    kinds = tuple(dict.fromkeys(NOISE.values()))
+    if variation.varies(*kinds):
+        low, high = np.array([getattr(variation, x) for x in kinds], np.float32).T
+        noise = low + (high - low) * jax.random.uniform(keys[3], (len(kinds),))
+        found |= {"noise": noise, "key": jax.random.bits(keys[4], (2,), jnp.uint32)}
+    return RobotDraw(**found)
+
+
+def nothing_sent(robot: RobotDraw | None, n_arm: int, xp: Any = jnp) -> Any:
+    """The actions that are under way as an episode begins: none that moves (longest, n_arm); None without latency."""
+    if robot is None or robot.latency is None:
+        return None
+    return xp.zeros((robot.longest, n_arm), np.float32)
+
+
+def delayed(robot: RobotDraw | None, sent: Any, action: jax.Array) -> tuple[jax.Array, Any]:
+    """The robot's action that arrives now, and those that are under way.
+
+    Args:
+        robot: of the episode.
+        sent: its last actions, the newest first (longest, n_arm); None without latency.
+        action: that is sent now (n_arm,).
+    """
+    if robot is None or sent is None:
+        return action, sent
+    line = jnp.concatenate([action[None], sent])
+    return line[robot.latency], line[:-1]
+
+
+def sensed_by(robot: RobotDraw | None, record: type, obs: jax.Array, step: Any) -> jax.Array:
+    """What the robot observes, with the noise of its sensors.
+
+    Args:
+        robot: of the episode.
+        record: of the observation.
+        obs: what there is to see (n_obs,).
+        step: control steps done; the noise of each is another ().
+    """
+    if robot is None or robot.noise is None:
+        return obs
+    kinds = tuple(dict.fromkeys(NOISE.values()))
+    share, turned = np.zeros((observe.size(record), len(kinds)), np.float32), []
+    where = observe.layout(record)
+    for name, column in observe.columns(record).items():
+        if column.unit in NOISE:
+            # a turn by a small angle changes a quaternion by half of it
+            is_turn = column.unit == QUATERNION
+            share[where[name], kinds.index(NOISE[column.unit])] = 0.5 if is_turn else 1.0
+            turned += [where[name]] if is_turn else []
+    key = jax.random.wrap_key_data(robot.key, impl="threefry2x32")
+    noise = jax.random.normal(jax.random.fold_in(key, step), obs.shape)
+    seen = obs + noise * (share @ robot.noise)
+    for part in turned:
+        seen = seen.at[part].divide(jnp.linalg.norm(seen[part]))
+    return seen

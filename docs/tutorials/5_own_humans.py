@@ -1,0 +1,42 @@
+# %% [markdown]
+# # People of your own
+#
+# Each episode has another person. By default that is Assistive Gym's: an average man or woman, with no impairment, narrower joint
+# limits, weak muscles, or a tremor.
+
+# %%
+import jax
+import numpy as np
+
+import agym_jax
+from agym_jax import Population
+
+humans = Population(
+    sizes="continuous",  # every size between and beyond the average man and woman
+    stature=(0.9, 1.1),
+    impairments=("none", "tremor"),
+)
+env = agym_jax.make("ReachingJaco-v0", impl="native", humans=humans)
+people = [env.reset(jax.random.key(seed)).episode.human for seed in range(4)]
+for human in people:
+    shakes = np.degrees(np.abs(human.tremor).max())
+    print(
+        f"stature {float(human.stature):.2f}, girth {float(human.girth):.2f}, tremor {shakes:.1f} degrees"
+    )
+
+# %% [markdown]
+# The person is part of the state: of a batch, each environment has its own. `state.episode.human` holds them as arrays.
+
+# %%
+from agym_jax.wrappers import vectorize
+
+envs = vectorize(env, 16)
+states = envs.reset(jax.random.key(1))
+print("statures", np.round(states.episode.human.stature, 2))
+assert len(np.unique(states.episode.human.stature)) == 16
+
+# %% [markdown]
+# What a task says of its person (which joints move, how they sit, how strong they are) is its `HumanSpec`.
+
+# %%
+print(env.task.human.joints, env.task.human.impairments, env.task.human.passive_mode, sep="\n")

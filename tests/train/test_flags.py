@@ -1,0 +1,131 @@
+# ruff: noqa: D103
+"""Flags that say what environment is made, and that runs of other settings do not mix."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from fake_env import FakeEnv
+
+from agym_jax import Population
+from agym_jax.policy.policy import read_policy
+from agym_jax.tasks.scratch_itch import Config
+from train import evaluate, ppo, select
+from train.configs import PPOConfig, config_for, parse_arguments
+from train.enjoy import EnjoyConfig
+from train.errors import CheckpointMismatchError
+from train.evaluate import EvaluateConfig
+from train.flags import parse_flags
+from train.sweep import SweepConfig
+
+WORDS = (
+    "--env-name ScratchItchJaco-v0 --task.scratch 3 --humans.sizes continuous --episode-length 100"
+)
+OPTIONS = {
+    "config": Config(scratch=3.0),
+    "humans": Population("continuous"),
+    "episode_length": 100,
+}
+
+
+class ChangedEnv(FakeEnv):
+    """One that says that it is not as its name says."""
+
+    changes: dict[str, Any] = {}  # noqa: RUF012
+    humans = Population()
+    task = None
+
+
+def make(name: str, impl: str, episode_length: int = 20, **options: Any) -> ChangedEnv:
+    env = ChangedEnv(episode_length=episode_length)
+    env.changes = {} if episode_length == 20 else {"episode_length": episode_length}
+    assert not options
+    return env
+
+
+@pytest.mark.parametrize("kind", [PPOConfig, EvaluateConfig, EnjoyConfig, SweepConfig])
+def test_flags_become_the_arguments_of_make(kind):
+    config = parse_flags(kind, WORDS.split(), "x")
+    assert config.options() == OPTIONS
+    assert parse_flags(kind, [], "x").options() == {}
+
+
+def test_the_trainers_have_them_beside_their_own():
+    config = parse_arguments([*WORDS.split(), "--lr", "1e-3"])
+    assert config.options() == OPTIONS and config.lr == 1e-3
+    assert config_for("ReachingJaco-v0").options() == {}
+    other = parse_arguments(["--env-name", "FeedingPR2-v0", "--task.eaten", "5"])
+    assert other.task.eaten == 5.0 and set(other.options()) == {"config"}
+
+
+def test_settings_of_another_task_are_no_flags(capsys):
+    with pytest.raises(SystemExit):
+        parse_arguments(["--env-name", "ReachingJaco-v0", "--task.scratch", "3"])
+    assert "--task.scratch" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [("--humans.sizes continous", "'continuous'"), ("--task.spacing 0.001", "at least 0.03 m")],
+)
+@pytest.mark.parametrize("main", [evaluate.main, ppo.main])
+def test_what_makes_no_sense_ends_with_a_sentence(main, words, told, capsys):
+    try:
+        status = main(["--env-name", "BedBathingJaco-v0", *words.split()])
+    except SystemExit as stop:  # tyro's own
+        status = stop.code
+    assert status == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+
+
+TRAIN = [
+    "--env-name",
+    "FakeReach-v0",
+    "--num-env-steps",
+    "64",
+    "--num-envs",
+    "4",
+    "--num-steps",
+    "8",
+    "--num-mini-batch",
+    "1",
+    "--ppo-epoch",
+    "1",
+    "--policy-hidden",
+    "4",
+    "--value-hidden",
+    "4",
+    "--impl",
+    "jax",
+    "--save-dir",
+]
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_a_run_of_other_settings_is_not_continued(tmp_path, capsys, restored_settings):
+    """And its policies are not evaluated without being asked to; ``select`` makes the environment of the run."""
+    words = [*TRAIN, str(tmp_path)]
+    assert ppo.main([*words, "--episode-length", "10", "--num-seeds", "2"], make) == 0
+    run = tmp_path / "FakeReach-v0"
+    assert json.loads((run / "config.json").read_text())["config"]["episode_length"] == 10
+    assert read_policy(run / "seed_1" / "policy.npz").info["changes"] == {"episode_length": 10}
+    assert ppo.main([*words, "--num-seeds", "2"], make) == 2
+    said = capsys.readouterr().err
+    assert CheckpointMismatchError.__name__ in said
+    assert "episode_length is 10 in the run, the default here" in said and "--fresh" in said
+    assert ppo.main([*words, "--episode-length", "10", "--num-seeds", "2"], make) == 0  # as before
+
+    assert (
+        select.main([str(run), "--num-episodes", "2", "--impl", "jax", "--no-shipped"], make) == 0
+    )
+    measure = ["--env-name", "FakeReach-v0", "--load-dir", str(tmp_path), "--num-episodes", "2"]
+    assert evaluate.main(measure, make) == 2
+    assert "--episode-length 10" in capsys.readouterr().err
+    assert evaluate.main([*measure, "--any-env"], make) == 0
+    line = tmp_path / "line.jsonl"
+    asked = ["--episode-length", "10", "--json", str(line)]
+    assert evaluate.main([*measure, *asked], make) == 0
+    assert json.loads(line.read_text())["changes"] == {"episode_length": 10}

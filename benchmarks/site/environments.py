@@ -136,7 +136,11 @@ def _measured(name: str) -> Iterator[str]:
     selections = read_results("selection", ("env",))
     line = next((x for x in modes if x["env"] == name and name in shipped()), None)
     chosen = next((x for x in selections if x["env"] == name), None)
-    if line is None and chosen is None:
+    pairs = read_results("crossplay", ("env", "human_policy"))
+    pair = next((x for x in pairs if x["env"] == name and x["human_policy"]), None)
+    if name not in shipped():
+        pair = None
+    if line is None and chosen is None and pair is None:
         yield "No policy has been measured here yet."
         return
     rows = []
@@ -144,6 +148,10 @@ def _measured(name: str) -> Iterator[str]:
         share = f"{line['success']:.1%} ({line['success_low']:.1%} to {line['success_high']:.1%})"
         rows.append(("success of the policy that ships", share, line))
         rows.append(("its return", f"{line['return_mean']:.1f} ± {line['return_std']:.1f}", line))
+    if pair:
+        share = f"{pair['success']:.1%} ({pair['success_low']:.1%} to {pair['success_high']:.1%})"
+        rows.append(("success of the robot and the person that ship", share, pair))
+        rows.append(("their return", f"{pair['return_mean']:.1f} ± {pair['return_std']:.1f}", pair))
     if chosen:
         gentle = chosen["reported"]
         if "gentle_success" in gentle:

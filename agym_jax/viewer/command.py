@@ -179,13 +179,13 @@ def serve(
     config: argparse.Namespace, env: Any, files: PolicyFiles | None, picture: Picture, say: Say
 ) -> None:
     """Serve the page until a KeyboardInterrupt."""
-    from agym_jax.viewer.page import Page
+    from agym_jax.viewer.page import PANEL, Page
     from agym_jax.viewer.stage import preview
 
     server = picture.server
     place, moment = preview(env, config.visuals)
     picture.show([place], moment)
-    picture.aim("front")
+    picture.aim("front", PANEL)
     note = server.gui.add_markdown("Preparing the first episode ...")
     say(f"Serving at http://{config.host}:{server.get_port()} (Ctrl+C ends it).")
     stage = begin(config, env, files, say)

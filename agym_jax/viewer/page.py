@@ -17,6 +17,7 @@ from agym_jax.viewer.stage import Stage
 FRAME = 1 / 25  # time between frames [s]
 SLOWLY = 0.25  # between updates of text, sliders and curves [s]
 PAUSE = 1.5  # after an episode [s]
+PANEL = 0.2  # by which everything is further left, because of the panel, as a share of the height
 
 
 class Page:
@@ -39,7 +40,7 @@ class Page:
         self._slow = 0.0
         self.panels = Panels(self)
         self._begun()
-        picture.aim("all" if stage.count > 1 else "front")
+        picture.aim("all" if stage.count > 1 else "front", PANEL)
 
     # -- what the user asks for -------------------------------------------------------------------
 
@@ -84,7 +85,7 @@ class Page:
         """Move the camera of one browser."""
         if client is None:
             return
-        eye, target = self.picture.view(name)
+        eye, target = self.picture.view(name, PANEL)
         with client.atomic():
             client.camera.position, client.camera.look_at = eye, target
             client.camera.up_direction = (0.0, 0.0, 1.0)

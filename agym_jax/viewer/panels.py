@@ -22,10 +22,10 @@ SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0, "4": 4.0, "max": np.inf}
 """Times real time."""
 JOG = 0.02  # of the tool, for a key [m]
 JOGS = {
-    "W": (0.0, 1.0, 0.0, "back"), "S": (0.0, -1.0, 0.0, "to the front"), "A": (-1.0, 0.0, 0.0, "left"),
+    "W": (0.0, 1.0, 0.0, "away"), "S": (0.0, -1.0, 0.0, "nearer"), "A": (-1.0, 0.0, 0.0, "left"),
     "D": (1.0, 0.0, 0.0, "right"), "E": (0.0, 0.0, 1.0, "up"), "Q": (0.0, 0.0, -1.0, "down"),
 }  # fmt: skip
-"""Key -> the way that it moves the tool."""
+"""Key -> the way that it moves the tool, as the camera "front" sees it."""
 NAMES = {"robot": "Robot", "human": "Person"}
 
 
@@ -107,9 +107,9 @@ class Panels:
         self.play.on_click(lambda _: page.ask(page.toggle))
         step = gui.add_button("Step", icon="player-skip-forward", hint="Arrow right")
         step.on_click(lambda _: page.ask(page.single_step))
-        moves = gui.add_button_group("Episode", ("Again", "Next"))
+        moves = gui.add_button_group("Episode", ("Reset", "Next person"))
         moves.on_click(
-            lambda event: page.ask(page.again if event.target.value == "Again" else page.next)
+            lambda event: page.ask(page.again if event.target.value == "Reset" else page.next)
         )
         speed = gui.add_button_group("Speed", tuple(SPEEDS))
         speed.on_click(lambda event: page.ask(lambda: page.set_speed(SPEEDS[event.target.value])))
@@ -131,7 +131,7 @@ class Panels:
         for label, key, call in (
             ("Play or pause", "space", page.toggle),
             ("One step", "arrowright", page.single_step),
-            ("Again from the start", "R", page.again),
+            ("Reset", "R", page.again),
             ("Next person", "N", page.next),
         ):
             gui.add_command(label, hotkey=key).on_trigger(lambda _, call=call: page.ask(call))

@@ -24,8 +24,11 @@ PRESSED, OTHER = (222, 45, 38), (244, 160, 40)
 """Colours of forces: on the person, and elsewhere."""
 LENGTH_OF_10_N = 0.15  # of an arrow [m]
 LONGEST = 0.6  # arrow [m]
-LABEL_AT, MIDDLE = np.array([0.0, 0.0, 1.75]), np.array([0.0, 0.0, 0.6])
+LABEL_AT, MIDDLE = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 0.6])
 """Of an environment [m]: where its label is, and where one looks at."""
+OVERVIEW = np.array([-0.25, -0.95, 0.8])
+"""From where one looks at several, in their width."""
+FEW = 4  # environments that are drawn with shadows and all detail
 AMBIENT = 0.35  # light from everywhere, beside viser's lamps
 FIELD_OF_VIEW = np.radians(42.0)  # vertical, that of the camera "front"
 VIEWS = ("front", "side", "close")
@@ -152,9 +155,11 @@ class Picture:
         if handle is not None and len(handle.batched_positions) == len(positions):
             assign(handle, props)
             return
-        mesh = shapes.mesh_of(parts[0][0].model, name.rpartition("/")[2])
+        few = len(self.places) <= FEW
+        sides = shapes.FINE if few else shapes.COARSE
+        mesh = shapes.mesh_of(parts[0][0].model, name.rpartition("/")[2], sides)
         self._handles[name] = self._scene.add_batched_meshes_simple(
-            name, mesh.vertices, mesh.faces, lod="off", **props
+            name, mesh.vertices, mesh.faces, lod="off", cast_shadow=few, receive_shadow=few, **props
         )
 
     def _balls(self, i: int, mark: Marks, points: np.ndarray) -> str:
@@ -198,7 +203,7 @@ class Picture:
             self._handles[name].text = place.label
         else:
             self._handles[name] = self._scene.add_label(
-                name, place.label, position=at, anchor="bottom-center", font_screen_scale=0.8
+                name, place.label, position=at, anchor="top-center", font_screen_scale=0.8
             )
         return name
 
@@ -248,26 +253,35 @@ class Picture:
 
     # -- the eye ----------------------------------------------------------------------------------
 
-    def aim(self, name: str) -> None:
+    def aim(self, name: str, beside: float = 0.0) -> None:
         """Where the camera of a new browser, or of a replay, stands: see ``view``."""
-        camera, (eye, target) = self.server.initial_camera, self.view(name)
+        camera, (eye, target) = self.server.initial_camera, self.view(name, beside)
         camera.position, camera.look_at, camera.fov = eye, target, float(FIELD_OF_VIEW)
 
-    def view(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Where a camera stands and what it looks at [m] (3,), (3,): one of the scene's, or "all" of several environments."""
-        place = self.places[0]
-        camera = place.model.camera(name if name in VIEWS else "front")
-        data = place.data
-        mujoco.mj_camlight(place.model, data)
-        at, turn = data.cam_xpos[camera.id], data.cam_xmat[camera.id].reshape(3, 3)
-        centre = place.model.stat.center
-        away = max(0.5, float((at - centre) @ turn[:, 2]))
-        eye, target = at + place.shift, at - away * turn[:, 2] + place.shift
-        if name != "all" and len(self.places) == 1:
-            return eye, target
-        middle = np.mean([p.shift for p in self.places], axis=0) + MIDDLE
-        width = np.ptp([p.shift for p in self.places], axis=0).max() + 2.0
-        return middle + np.array([-0.35, -0.95, 0.75]) * width, middle
+    def view(self, name: str, beside: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Where a camera stands and what it looks at [m] (3,), (3,).
+
+        Args:
+            name: of one of the scene's, or "all" for several environments.
+            beside: by which share of the picture's height everything is further left, where a panel hides the right.
+        """
+        if name == "all":
+            shifts = np.array([p.shift for p in self.places])
+            target = shifts.mean(axis=0) + MIDDLE
+            eye = target + OVERVIEW * (np.ptp(shifts, axis=0).max() + 2.0)
+        else:
+            place = self.places[0]
+            camera, data = place.model.camera(name), place.data
+            mujoco.mj_camlight(place.model, data)
+            back = data.cam_xmat[camera.id].reshape(3, 3)[:, 2]
+            eye = data.cam_xpos[camera.id] + place.shift
+            away = float((eye - place.shift - place.model.stat.center) @ back)
+            target = eye - max(0.5, away) * back
+        ahead = target - eye
+        right = np.cross(ahead, (0.0, 0.0, 1.0))
+        right *= np.linalg.norm(ahead) / np.linalg.norm(right)
+        moved = 2.0 * np.tan(FIELD_OF_VIEW / 2) * beside * right
+        return eye + moved, target + moved
 
 
 def poses(parts: list[tuple[Place, shapes.Copies]]) -> tuple[np.ndarray, np.ndarray]:
@@ -285,7 +299,8 @@ def poses(parts: list[tuple[Place, shapes.Copies]]) -> tuple[np.ndarray, np.ndar
 def assign(handle: Any, props: dict[str, Any]) -> None:
     """Set several properties of a node, those that changed."""
     for name, value in props.items():
-        setattr(handle, name, value)
+        if not np.array_equal(getattr(handle, name), value):
+            setattr(handle, name, value)
 
 
 def linear(colours: np.ndarray) -> np.ndarray:

@@ -31,7 +31,9 @@ class Plots:
     """
 
     def __init__(self, gui: viser.GuiApi, terms: tuple[str, ...], seconds: float):
-        rewards = {f"reward/{name}": name for name in terms}
+        rewards = {
+            f"reward/{name}": name.removeprefix("preference_").replace("_", " ") for name in terms
+        }
         self._seconds = seconds
         self._charts = [
             self._chart(gui, "Reward by term", {"": "sum", **rewards}),

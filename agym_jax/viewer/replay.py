@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+import numpy as np
+
+from agym_jax.viewer.people import described
 from agym_jax.viewer.picture import Picture
 from agym_jax.viewer.stage import Stage
 
+CAPTION = """<div style="position:fixed;left:14px;top:10px;font:14px sans-serif;color:#333;pointer-events:none">{}</div>"""
 BETWEEN = 2
 """Frames of a control step; gowns are large, and have one."""
 END = 1.0  # how long the last frame stays [s]
@@ -41,6 +46,20 @@ def write_replay(
         if stage.over:
             break
     record.insert_sleep(END)
-    page = record.as_html()
+    page = record.as_html().replace("</body>", f"{caption(stage)}</body>", 1)
+    page = re.sub("<title>.*?</title>", f"<title>{stage.env.name}</title>", page, count=1)
     file.write_text(page, encoding="utf-8")
     return len(page.encode())
+
+
+def caption(stage: Stage) -> str:
+    """What is seen and how it ended, as HTML."""
+    metrics = stage.states.metrics
+    won = int((np.asarray(metrics["success"]) > 0.5).sum())
+    end = (
+        f"{won} of {stage.count} succeed" if stage.count > 1 else "success" if won else "no success"
+    )
+    who = described(stage.state(0).episode.human) if stage.count == 1 else f"{stage.count} people"
+    steps = len(stage.history.times)
+    text = f"<b>{stage.env.name}</b>, seed {stage.seed}<br>{who}; {end} after {steps * stage.env.dt:.1f} s"
+    return CAPTION.format(text)

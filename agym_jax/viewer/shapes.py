@@ -16,9 +16,9 @@ import numpy as np
 from agym_jax.rendering.mesh_models import FIRST_HIDDEN_GROUP
 
 GEOM = mujoco.mjtGeom
-SIDES = 20  # of what is round
-RINGS = 12  # of a ball, from pole to pole
-UNITS = ("ball", "box", "tube", "rod", "cone")
+FINE, COARSE = 20, 12
+"""Sides of what is round: of a few people, and of many."""
+UNITS = ("ball", "box", "tube", "rod")
 
 
 @dataclass(frozen=True)
@@ -49,38 +49,39 @@ class Copies:
 
 
 @cache
-def unit(name: str) -> Mesh:
-    """One of ``UNITS``: of radius or half length 1; a tube is open, a rod closed, a cone stands on its base."""
+def unit(name: str, sides: int = FINE) -> Mesh:
+    """One of ``UNITS``: of radius or half length 1; a tube is open, a rod closed."""
     if name == "box":
         return _box()
     if name == "ball":
-        return _surface(*np.array([(np.sin(a), -np.cos(a)) for a in _turn(RINGS, np.pi)]).T)
+        angles = _turn(sides // 2, np.pi)
+        return _surface(np.sin(angles), -np.cos(angles), sides)
     if name == "tube":
-        return _surface(np.ones(2), np.array([-1.0, 1.0]))
-    if name == "rod":  # rims twice, so that their edges are sharp
-        return _surface(np.array([0.0, 1, 1, 1, 1, 0]), np.array([-1.0, -1, -1, 1, 1, 1]))
-    return _surface(np.array([0.0, 1, 1, 0]), np.array([0.0, 0, 0, 1]))
+        return _surface(np.ones(2), np.array([-1.0, 1.0]), sides)
+    # a rod: its rims are there twice, so that their edges are sharp
+    radii, heights = np.array([0.0, 1, 1, 1, 1, 0]), np.array([-1.0, -1, -1, 1, 1, 1])
+    return _surface(radii, heights, sides)
 
 
 def _turn(parts: int, angle: float) -> np.ndarray:
     return np.linspace(0.0, angle, parts + 1)
 
 
-def _surface(radii: np.ndarray, heights: np.ndarray) -> Mesh:
+def _surface(radii: np.ndarray, heights: np.ndarray, sides: int) -> Mesh:
     """A surface of revolution about z; two equal points in a row are an edge."""
-    turn = _turn(SIDES, 2 * np.pi)[:-1]
+    turn = _turn(sides, 2 * np.pi)[:-1]
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     vertices = np.concatenate(
         [
-            np.column_stack([r * ring, np.full(SIDES, z)])
+            np.column_stack([r * ring, np.full(sides, z)])
             for r, z in zip(radii, heights, strict=True)
         ]
     )
-    here, faces = np.arange(SIDES), []
+    here, faces = np.arange(sides), []
     for i in range(len(radii) - 1):
         if radii[i] == radii[i + 1] and heights[i] == heights[i + 1]:
             continue
-        low, high, beside = i * SIDES + here, (i + 1) * SIDES + here, np.roll(here, -1) - here
+        low, high, beside = i * sides + here, (i + 1) * sides + here, np.roll(here, -1) - here
         if radii[i] > 1e-9:
             faces.append(np.stack([low, low + beside, high + beside], axis=1))
         if radii[i + 1] > 1e-9:
@@ -104,10 +105,10 @@ def _box() -> Mesh:
     )
 
 
-def mesh_of(model: mujoco.MjModel, key: str) -> Mesh:
+def mesh_of(model: mujoco.MjModel, key: str, sides: int = FINE) -> Mesh:
     """The mesh that copies are of: one of ``UNITS``, or the number of a mesh of the model."""
     if key in UNITS:
-        return unit(key)
+        return unit(key, sides)
     mesh = int(key)
     vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
     return Mesh(

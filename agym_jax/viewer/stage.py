@@ -22,8 +22,9 @@ from agym_jax.viewer.forces import ContactForces
 from agym_jax.viewer.moments import Drawn, Moment
 from agym_jax.viewer.people import Wishes, described
 from agym_jax.viewer.picture import Place
+from agym_jax.viewer.shapes import drawn_geoms
 
-APART = (3.2, 3.4)  # of environments side by side [m]
+GAP = 0.8  # between environments side by side [m]
 
 
 @dataclass
@@ -136,13 +137,26 @@ class Stage:
     def places(self) -> list[Place]:
         """Where all stand in the picture."""
         columns = int(np.ceil(np.sqrt(self.count)))
+        models = [self.model(i) for i in range(self.count)]
+        wide, deep = self._room(models) if self.count > 1 else (0.0, 0.0)
         made = []
-        for i in range(self.count):
+        for i, model in enumerate(models):
             row, column = divmod(i, columns)
-            shift = np.array([column * APART[0], -row * APART[1], 0.0])
+            shift = np.array([column * wide, -row * deep, 0.0])
             label = described(self.state(i).episode.human) if self.count > 1 else ""
-            made.append(Place(self.model(i), shift, label))
+            made.append(Place(model, shift, label))
         return made
+
+    def _room(self, models: list[Any]) -> tuple[float, float]:
+        """What one environment takes at most, along x and y [m]."""
+        spans = []
+        for model, qpos in zip(models, np.asarray(self.states.data.qpos), strict=True):
+            place = Place(model, np.zeros(3))
+            place.pose(qpos)
+            shown = drawn_geoms(model, True) + drawn_geoms(model, False)
+            spans.append(np.ptp(place.data.geom_xpos[shown, :2], axis=0))
+        wide, deep = np.max(spans, axis=0) + GAP
+        return float(wide), float(deep)
 
     @property
     def drawn(self) -> Drawn:

@@ -44,7 +44,7 @@ class Tab:
         self._last += 1
         self._connection.send(json.dumps({"id": self._last, "method": method, "params": params}))
         while True:
-            answer = json.loads(self._connection.recv(timeout=60))
+            answer = json.loads(self._connection.recv(timeout=120))
             if answer.get("id") == self._last:
                 assert "error" not in answer, answer
                 return answer["result"]
@@ -85,12 +85,22 @@ class Tab:
         """Open the first tab with this text."""
         find = f"[...document.querySelectorAll('[role=tab]')].find(b => b.innerText.trim() === {text!r})"
         self.wait(f"!!({find})")
+        self.run(f"{find}.scrollIntoView()")
         box = f"{find}.getBoundingClientRect()"
         x, y = (
             self.run(f"{box}.{a} + {box}.{b} / 2") for a, b in (("x", "width"), ("y", "height"))
         )
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def check(self, label: str) -> None:
+        """Click the checkbox beside this text."""
+        box = f"""[...document.querySelectorAll('input[type=checkbox]')].find(box => {{
+          for (let at = box; at; at = at.parentElement) if (at.innerText && at.innerText.trim())
+            return at.innerText.replace(/\\s+/g, ' ').trim() === {label!r};
+          return false; }})"""
+        self.wait(f"!!({box})")
+        self.run(f"{box}.click()")
 
     def key(self, key: str, code: str) -> None:
         """Press a key."""

@@ -51,7 +51,7 @@ def address() -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def tab(address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
-    with chromium.chromium(tmp_path_factory.mktemp("browser"), 800, 480) as browse:
+    with chromium.chromium(tmp_path_factory.mktemp("browser"), 640, 600) as browse:
         page = browse(address)
         page.reads("Return")
         yield page
@@ -93,12 +93,21 @@ def test_the_episode_plays_and_buttons_pause_step_and_begin_it_again(tab: Tab):
     assert step_of(tab) == paused
     tab.click("Step")
     tab.reads(f"Step {paused + 1} of")
-    tab.click("Again")
+    tab.click("Reset")
     tab.reads("Step 0 of")
     tab.key("ArrowRight", "ArrowRight")
     tab.reads("Step 1 of")
-    tab.click("Next")
+    tab.click("Next person")
     tab.reads("seed 1002")
+    tab.reads("Step 0 of")
+
+
+def test_a_chosen_person_begins_the_episode_again(tab: Tab):
+    tab.click("Step")
+    tab.reads("Step 1 of")
+    tab.click_tab("Person")
+    tab.check("Choose the person")
+    tab.reads("Step 0 of")
 
 
 def test_an_exported_episode_opens_without_a_server(tmp_path: Path):
@@ -106,7 +115,7 @@ def test_an_exported_episode_opens_without_a_server(tmp_path: Path):
     with start(ID, "--export", str(page), "--steps", "5") as viewer:
         said = viewer.communicate()[0]
     assert "opens without a server" in said, said
-    assert 0.9e6 < page.stat().st_size < 3e6
+    assert 0.8e6 < page.stat().st_size < 2e6
     with chromium.chromium(tmp_path / "profile", 640, 480) as browse:
         replay = browse(page.as_uri())
         replay.wait("document.querySelectorAll('canvas').length > 0")

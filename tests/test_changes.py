@@ -127,12 +127,15 @@ def test_a_policy_of_other_settings_is_refused_by_name(changed, tmp_path):
     assert "episode_length is the default there, 3 here" in str(error.value)
     assert "--any-env" in str(error.value)
     from agym_jax.policy import check_policy, save_policy
+    from agym_jax.policy.check import settings_for
 
     policy = agym_jax.load_policy(NAME)
     check_policy(policy, changed, NAME, any_env=True)
     trained = dataclasses.replace(policy, info={**policy.info, "changes": changed.changes})
     path = save_policy(tmp_path / "policy.npz", trained)
     assert agym_jax.load_policy(path, changed).info["changes"] == changed.changes
+    assert settings_for(path, "ReachingJacoHuman-v0") == arguments_of(changed.changes)
+    assert settings_for(path, "ReachingPR2-v0") == {} and settings_for("zero", NAME) == {}
     with pytest.raises(PolicyEnvironmentError, match=r"--episode-length 3 .*--task.distance 2.0"):
         agym_jax.load_policy(path, agym_jax.make(NAME, impl="native"))
 

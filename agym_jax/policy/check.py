@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from agym_jax.changes import describe, flags_of
+from agym_jax.changes import arguments_of, describe, flags_of
 from agym_jax.errors import PolicyEnvironmentError, PolicyLayoutError
-from agym_jax.policy.agents import parts
-from agym_jax.policy.policy import Policy
+from agym_jax.policy.agents import BASELINES, parts
+from agym_jax.policy.policy import Policy, read_policy
 from agym_jax.registry import active_id, static_id
 
 MOVES = {"robot": "the robot", "human": "the person", "joint": "robot and person at once"}
@@ -23,6 +23,23 @@ def train_command(env_name: str) -> str:
     """The command that trains a policy for an environment."""
     trainer = "train" if env_name == static_id(env_name) else "coop"
     return f"agym-jax {trainer} --env-name {env_name}"
+
+
+def settings_for(path: Path | str, env_name: str) -> dict[str, Any]:
+    """The arguments of ``agym_jax.make`` with which a policy's environment was made, for commands that follow the policy.
+
+    Args:
+        path: of its file, or a baseline's name.
+        env_name: environment id; a policy of another one has none.
+
+    Raises:
+        PolicyNotFoundError, PolicyDamagedError: there is no such file, or it cannot be read.
+    """
+    if str(path) in BASELINES:
+        return {}
+    info, plain = read_policy(path).info, env_name.rpartition(":")[2]
+    same = static_id(str(info.get("env"))) == static_id(plain)
+    return arguments_of(info.get("changes", {})) if same else {}
 
 
 def check_policy(

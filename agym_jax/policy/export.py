@@ -19,12 +19,12 @@ import agym_jax
 from agym_jax.data.npz import check_writable, write_file
 from agym_jax.errors import AgymError, ArgumentError, PolicyEnvironmentError, PolicyNotFoundError
 from agym_jax.policy.agents import BASELINES
-from agym_jax.policy.check import check_policy
+from agym_jax.policy.check import check_policy, settings_for
 from agym_jax.policy.contract import contract
 from agym_jax.policy.files import find_policies
 from agym_jax.policy.onnx_graph import PRECISIONS, build_model, import_onnx
 from agym_jax.policy.policy import Policy, read_policy
-from agym_jax.registry import active_id, static_id
+from agym_jax.registry import active_id, parse, static_id
 
 SUFFIX = ".onnx"
 AGENTS = ("robot", "human", "joint")
@@ -126,8 +126,10 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax export") -> in
     try:
         import_onnx()
         path = checked_path(args.output)
-        env = agym_jax.make(args.id, impl="native")  # no compiling: only names and sizes are read
+        parse(args.id)
         file = choose_policy(args.id, args.load_dir, args.policy, args.agent)
+        # no compiling: only names and sizes are read
+        env = agym_jax.make(args.id, impl="native", **settings_for(file, args.id))
         policy = read_policy(file)
         if args.agent:
             check_policy(policy, env, file, agent=args.agent)

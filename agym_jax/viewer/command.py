@@ -134,11 +134,13 @@ def run(config: argparse.Namespace) -> None:
 
     jax.config.update("jax_platforms", "cpu")  # one environment: an accelerator would be slower
     import agym_jax
+    from agym_jax.policy.check import settings_for
     from agym_jax.viewer.picture import Picture
     from agym_jax.viewer.serve import close_server, open_server
 
     files = policy_files(config, say)
-    env = agym_jax.make(config.id, impl="native")
+    settings = settings_for(files.robot, config.id) if files else {}
+    env = agym_jax.make(config.id, impl="native", **settings)
     server = open_server(env.name, config.host, 0 if config.export else config.port)
     try:
         (export if config.export else serve)(config, env, files, Picture(server), say)

@@ -22,17 +22,10 @@ from .task_changes import CPU_CHANGES, TASK_CHANGES
 POSITIVE = ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling")
 NOT_NEGATIVE = (
     "value_loss_coef", "entropy_coef", "policy_head_gain",
-    "noise_floor", "noise_end",
+    "noise_floor",
     "cost_limit", "cost_proportional", "cost_integral", "cost_derivative", "cost_multiplier_max",
 )  # fmt: skip
-SHARES = (
-    "gamma",
-    "gae_lambda",
-    "entropy_decay_share",
-    "noise_hold",
-    "cost_tighten_from",
-    "cost_tighten_until",
-)
+SHARES = ("gamma", "gae_lambda", "entropy_decay_share", "cost_tighten_from", "cost_tighten_until")
 MAX_ENV_STEPS = 2**32 - 1  # the learner counts steps in 32 unsigned bits
 
 
@@ -139,12 +132,6 @@ class LearnConfig(EnvFlags):
     noise_floor: float = 0.0
     """Least deviation of "normal" in the first half of the run, then falling to zero: noise must last until a success
     that is rare is found."""
-    noise_end: float = 0.0
-    """Largest deviation of "normal" at the end; 0 = any. The bound falls from init_noise_std between 40 and 80 % of the
-    run, so that the mean learns to do what noise did."""
-    noise_hold: float = 0.0
-    """Share of the variance of the exploration noise that stays the same for num_steps, so that motions in one
-    direction get further."""
     policy_head_gain: float = 0.01
     """Gain of the initial weights of the policy's last layer (Assistive Gym: 1)."""
 
@@ -176,11 +163,10 @@ class LearnConfig(EnvFlags):
                     f"{name} must be the sizes of at least one layer, each at least 1, such as --{name.replace('_', '-')} "
                     f"64 64; got {' '.join(map(str, sizes)) or 'none'}."
                 )
-        for name in ("noise_floor", "noise_end"):
-            if getattr(self, name) and self.distribution != "normal":
-                raise ConfigError(
-                    f"{name} bounds the deviation of --distribution normal; {self.distribution} has none of its own."
-                )
+        if self.noise_floor and self.distribution != "normal":
+            raise ConfigError(
+                f"noise_floor bounds the deviation of --distribution normal; {self.distribution} has none of its own."
+            )
         check_save_dir(self.save_dir)
         for name in SHARES:
             if not 0 <= getattr(self, name) <= 1:

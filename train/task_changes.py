@@ -33,15 +33,21 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "ScratchItch": _MANY_STROKES,
     "ScratchItchBaxter": _MANY_STROKES | {"entropy_coef": 0.006},
     "ScratchItchJaco": _MANY_STROKES | {"entropy_decay_share": 1.0},
-    "BedBathing": _TOUCH,
+    "BedBathing": _MANY_STROKES,
     "Feeding": _SLOW,
     # with wide exploration the water is spilled, and not pouring is learned first
     "Drinking": _SLOW
     | _LARGE
-    | {"init_noise_std": 0.5, "entropy_coef": 0.003, "entropy_decay_share": 0.4},
+    | {
+        "init_noise_std": 0.5,
+        "entropy_coef": 0.003,
+        "entropy_decay_share": 0.4,
+        "noise_floor": 0.35,
+    },
     "Dressing": _SLOW,
     # without the entropy bonus the tool learns to press on the arm instead of getting beneath it
-    "ArmManipulation": _TOUCH | {"gamma": 0.995, "gae_lambda": 0.95, "entropy_coef": 0.01},
+    "ArmManipulation": _TOUCH
+    | {"lr": 1.2e-3, "gamma": 0.995, "gae_lambda": 0.95, "entropy_coef": 0.01},
     "Reaching": _TOUCH | {"lr": 3e-4},
 }
 

@@ -88,12 +88,7 @@ def init_policy(networks: ppo_networks.PPONetworks, arch: Architecture, key: jax
 
 @full_precision
 def sample_action(
-    networks: ppo_networks.PPONetworks,
-    normalizer: Any,
-    policy: Any,
-    obs: jax.Array,
-    key: jax.Array,
-    held: tuple[jax.Array, jax.Array] | None = None,
+    networks: ppo_networks.PPONetworks, normalizer: Any, policy: Any, obs: jax.Array, key: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Draw actions.
 
@@ -103,8 +98,6 @@ def sample_action(
         policy: parameters of the policy network.
         obs: (..., observation_size).
         key: random key.
-        held: another key, and the share () of the noise's variance that follows it; calls with the same one share
-            that part of their noise. The distribution of each action is the same.
 
     Returns:
         The action in [-1, 1] (..., action_size), the raw sample it was made of (same shape) and
@@ -112,13 +105,7 @@ def sample_action(
     """
     distribution = networks.parametric_action_distribution
     logits = networks.policy_network.apply(normalizer, policy, obs)
-    drawn: Any = distribution.create_dist(logits)
-    noise = jax.random.normal(key, drawn.loc.shape)
-    if held is not None:
-        other, share = held
-        lasting = jax.random.normal(other, drawn.loc.shape)
-        noise = jnp.sqrt(1 - share) * noise + jnp.sqrt(share) * lasting
-    raw = noise * drawn.scale + drawn.loc
+    raw = distribution.sample_no_postprocessing(logits, key)
     action = jnp.clip(distribution.postprocess(raw), -1.0, 1.0)
     return action, raw, distribution.log_prob(logits, raw)
 

@@ -161,7 +161,7 @@ def test_impossible_values_are_named(wrong):
 
 
 def test_mini_batches_of_a_small_batch_are_not_too_small():
-    config = config_for("BedBathingJaco-v0")
+    config = config_for("FeedingJaco-v0")
     on_cpu, on_gpu = resolve(config, "cpu"), resolve(config, "gpu")
     assert on_cpu.num_envs * on_cpu.num_steps // on_cpu.num_mini_batch == 80
     assert on_gpu.num_mini_batch == config.num_mini_batch == 32

@@ -35,7 +35,6 @@ OTHERS = {
     "eps": 1e-2,
     "reward_scaling": 0.01,
     "noise_floor": 2.0,
-    "noise_hold": 0.5,
 }
 STEPS = 400  # of the run, of which a few are made
 

@@ -24,7 +24,6 @@ from agym_jax.policy.policy import Policy, read_policy
 
 from ..configs import LearnConfig
 from .constraint import COST_LOSSES, SHARED
-from .noise import Held
 from .ppo import (
     LOSSES,
     AgentState,
@@ -147,23 +146,21 @@ class Agents:
         return LearnerState(states, key)
 
     def act(
-        self, learner: LearnerState, obs: jax.Array, key: jax.Array, held: Held | None = None
+        self, learner: LearnerState, obs: jax.Array, key: jax.Array
     ) -> tuple[jax.Array, jax.Array, dict[str, jax.Array]]:
         """Actions, raw samples and log-probabilities by agent, for observations (B, observation).
 
-        Each acts by what it sees itself; a frozen one by the mode of its distribution. ``held`` is the noise that
-        lasts: a key, and its share of the variance.
+        Each acts by what it sees itself; a frozen one by the mode of its distribution.
         """
         actions, raws, log_probs = [], [], {}
-        for index, (agent, key_agent) in enumerate(zip(self.agents, self._split(key), strict=True)):
+        for agent, key_agent in zip(self.agents, self._split(key), strict=True):
             state, own = learner.agents[agent.name], obs[..., agent.part.observed]
             known = (agent.networks, state.normalizer, state.params.policy, own)
             if agent.frozen:
                 action = raw = mode_action(*known)
                 log_prob = jnp.zeros(own.shape[:-1])
             else:
-                lasting = held and (jax.random.fold_in(held[0], index), held[1])
-                action, raw, log_prob = sample_action(*known, key_agent, lasting)
+                action, raw, log_prob = sample_action(*known, key_agent)
             actions.append(action)
             raws.append(raw)
             log_probs[agent.name] = log_prob

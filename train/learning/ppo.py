@@ -36,7 +36,7 @@ from .constraint import (
     learn_constraint,
     penalised,
 )
-from .noise import Noise
+from .noise import keep_noise
 from .rollout import Batch
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
@@ -65,7 +65,7 @@ class Hyper:
     clip_value_loss: Any  # 1: clip the change of the value prediction too
     recompute_advantages: Any  # 1: before every pass over the data, with the values of then
     learns: Any  # 0: one of several trainings that has been stopped
-    noise: Noise
+    noise_floor: Any  # least deviation of the exploration noise
     constraint: ConstraintHyper | None = None  # None without a cost limit
 
     @classmethod
@@ -96,10 +96,11 @@ class Hyper:
             "clip_value_loss": config.clip_value_loss,
             "recompute_advantages": bool(config.recompute_advantages),
             "learns": 1.0,
+            "noise_floor": config.noise_floor,
         }
         numbers = {name: np.float32(value) for name, value in values.items()}
         constraint = ConstraintHyper.of(config, episode_length)
-        return cls(**numbers, noise=Noise.of(config), constraint=constraint)
+        return cls(**numbers, constraint=constraint)
 
 
 @jax.tree_util.register_dataclass
@@ -344,7 +345,7 @@ def learn(
     done = progress + jnp.float32(batch_steps(batch, axis)) / hyper.total_steps
     agent = replace(
         agent,
-        params=params.replace(policy=hyper.noise.keep(params.policy, done)),
+        params=params.replace(policy=keep_noise(params.policy, hyper.noise_floor, done)),
         optimizer=state,
         normalizer=normalizer,
         returns=returns,

@@ -19,7 +19,6 @@ from agym_jax.policy.policy import Policy
 
 from ..configs import LearnConfig
 from .agents import Agents, LearnerState
-from .noise import Held
 from .ppo import Hyper
 from .rollout import Batch
 
@@ -72,11 +71,11 @@ class SideBySide:
         return jax.lax.map(self.single.init, keys)
 
     def act(
-        self, learner: LearnerState, obs: jax.Array, keys: jax.Array, held: Held | None = None
+        self, learner: LearnerState, obs: jax.Array, keys: jax.Array
     ) -> tuple[jax.Array, jax.Array, dict[str, jax.Array]]:
         """As ``Agents.act``, for the environments of all seeds (B, observation)."""
         own = obs.reshape(self.count, -1, *obs.shape[1:])
-        acted = jax.vmap(self.single.act)(learner, own, keys, held)
+        acted = jax.vmap(self.single.act)(learner, own, keys)
         return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), acted)
 
     def learn(

@@ -30,7 +30,6 @@ from .rollout import (
 )
 from .seeds import SideBySide
 
-HELD = 20  # marks the key of the noise that lasts for a rollout
 Run = Callable[..., tuple[LearnerState, RolloutState, Totals]]
 
 
@@ -67,9 +66,8 @@ def make_updates(
             if axis is not None:
                 index = jax.lax.axis_index(axis)
                 key_rollout, key_learn = (fold_in(k, index) for k in (key_rollout, key_learn))
-            held = fold_in(key_rollout, HELD), hyper.noise.hold
             rollout, batch, sums = collect(
-                lambda obs, key: act(learner, obs, key, held),
+                lambda obs, key: act(learner, obs, key),
                 venv,
                 rollout,
                 key_rollout,

@@ -109,22 +109,31 @@ def selections(folder: Path = RESULTS) -> str:
 
 
 def sweeps(folder: Path = RESULTS) -> str:
-    """Success of the settings that were compared, at the end of training."""
+    """Success of the settings that were compared with several seeds each, at the end of training."""
     rows = [
         {**x, "rank": i, **setting}
-        for x in read_results("sweeps", ("env",), folder)
+        for x in read_results("sweeps", ("env", "num_env_steps"), folder)
         for i, setting in enumerate(x["ranking"])
+        if x["num_seeds"] > 1
     ]
     columns = {
         "environment": lambda x: x["env"],
         "seeds": lambda x: x["num_seeds"],
-        "steps of each": lambda x: f"{x['num_env_steps'] / 1e6:g} M",
-        "parallel envs of each": lambda x: f"{x['num_envs']:,}",
+        "steps of each": _steps,
         "setting": lambda x: ", ".join(f"{k} {v:g}" for k, v in x["setting"].items()),
-        "success while training": lambda x: f"{x['success_iqm']:.1%}",
-        "return": lambda x: f"{x['return_iqm']:.1f}",
+        "success while training: IQM": lambda x: f"{x['success_iqm']:.1%}",
+        "worst": lambda x: f"{x['worst']:.1%}",
+        "gentle success": lambda x: f"{x['gentle_iqm']:.1%}",
+        "median peak force": lambda x: f"{x['peak_iqm']:.0f} N",
     }
-    return table(rows, columns, itemgetter("env", "rank"), "All side by side in one program;")
+    note = "1,024 environments of each seed, all side by side in one program; sampled actions;"
+    return table(rows, columns, itemgetter("env", "num_env_steps", "rank"), note)
+
+
+def _steps(line: Line) -> str:
+    """Steps of a training, and of how many it was cut off."""
+    made, planned = (line[name] / 1e6 for name in ("num_env_steps", "planned_env_steps"))
+    return f"{made:.1f} M" if made > 0.98 * planned else f"{made:.1f} of {planned:.1f} M"
 
 
 def together(folder: Path = RESULTS) -> str:

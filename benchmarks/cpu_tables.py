@@ -12,6 +12,7 @@ from train.evaluation.statistics import iqm
 
 NATIVE, MJX, THEIRS = "native", "jax", "assistive-gym"
 NAMES = {NATIVE: "C MuJoCo", MJX: "MJX", THEIRS: "Assistive Gym"}
+OF_CPU = "Control steps per second of CPU time, about half of what two cores make in a second."
 Speeds = dict[tuple[str, str, int], Line]
 """Environment, implementation, environments side by side -> line."""
 
@@ -48,13 +49,18 @@ def _speeds(measured: str, folder: Path) -> tuple[Speeds, Speeds, dict[str, Line
     return beside(ours), beside(theirs), {x["env"]: x for x in theirs}
 
 
-def _value(speeds: Speeds, env: str, impl: str, num_envs: int) -> str:
-    line = speeds.get((env, impl, num_envs))
-    return f"{line['steps_per_s']:,}" if line else ""
+def _value(line: Line | None) -> str:
+    return f"{line['cpu_steps_per_s']:,}" if line else ""
 
 
-def _ratio(line: Line | None, other: Line | None, name: str) -> str:
-    return f"{line[name] / other[name]:.1f}" if line and other else ""
+def _ratio(line: Line | None, other: Line | None) -> str:
+    return f"{line['cpu_steps_per_s'] / other['cpu_steps_per_s']:.1f}" if line and other else ""
+
+
+def _where(gyms: dict[str, Line]) -> str:
+    """On which machine Assistive Gym was measured; its ratios are of that machine."""
+    machines = several(x["machine"] for x in gyms.values())
+    return f" {NAMES[THEIRS]}: {machines}, one environment a core;" if gyms else ""
 
 
 def speed(folder: Path = RESULTS) -> str:
@@ -67,29 +73,23 @@ def speed(folder: Path = RESULTS) -> str:
         return NOTHING
     counts = sorted({count for _, _, count in here})
     batches = [(impl, count) for count in counts for impl in (MJX, NATIVE)]
-    rows = [[
-        "environment", *(f"{NAMES[impl]}, {count}" for impl, count in batches),
-        *(f"ratio, {count}" for count in counts), "training", NAMES[THEIRS], "ratio",
-    ]]  # fmt: skip
+    head = ["environment", *(f"{NAMES[impl]}, {count}" for impl, count in batches)]
+    head += [f"C MuJoCo / MJX, {count}" for count in counts]
+    rows = [[*head, NAMES[THEIRS], "C MuJoCo / Assistive Gym"]]
+    rows[0] += ["training, steps/s"] if training else []
     for env in names:
-        own, gym, least = training.get(env), gyms.get(env), counts[0] if counts else 0
-        rows.append([
-            env,
-            *(_value(here, env, impl, count) for impl, count in batches),
-            *(_ratio(here.get((env, NATIVE, n)), here.get((env, MJX, n)), "steps_per_s") for n in counts),
-            f"{own['steps_per_s']:,}" if own else "",
-            f"{gym['steps_per_s']:,}" if gym else "",
-            _ratio(there.get((env, NATIVE, least)), gym, "cpu_steps_per_s"),
-        ])  # fmt: skip
+        row = [env, *(_value(here.get((env, impl, count))) for impl, count in batches)]
+        row += [_ratio(here.get((env, NATIVE, n)), here.get((env, MJX, n))) for n in counts]
+        beside = [there.get((env, NATIVE, n)) for n in counts]
+        gym = gyms.get(env)
+        row += [_value(gym), _ratio(next((x for x in beside if x), None), gym)]
+        own = training.get(env)
+        row += [f"{own['steps_per_s']:,}" if own else ""] if training else []
+        rows.append(row)
     used = [*here.values(), *training.values(), *gyms.values()]
-    cores = several(x["device"]["cpu_cores"] for x in used)
-    note = f"Control steps per second with random actions, resets included, and the batch's size; {cores} cores."
-    if gyms:
-        note += (
-            f" {NAMES[THEIRS]} on {several(x['machine'] for x in gyms.values())}, one process a core; its ratio to C MuJoCo is of steps "
-            f"per second of CPU time on that machine."
-        )
-    return grid(rows, used, note)
+    return grid(
+        rows, used, f"{OF_CPU} Random actions, resets included; a batch's size.{_where(gyms)}"
+    )
 
 
 def summary(folder: Path = RESULTS) -> str:
@@ -98,16 +98,12 @@ def summary(folder: Path = RESULTS) -> str:
     counts = sorted({count for _, _, count in here})
     if not counts:
         return NOTHING
-    rows = [["", *TASKS]]
-    for impl in (NATIVE, MJX):
-        rows.append([NAMES[impl], *(_value(here, f"{t}Jaco-v0", impl, counts[0]) for t in TASKS)])
-    if gyms:
-        gym = [gyms.get(f"{task}Jaco-v0") for task in TASKS]
-        rows.append([NAMES[THEIRS], *(f"{x['steps_per_s']:,}" if x else "" for x in gym)])
-    used = [*(x for (_, _, count), x in here.items() if count == counts[0]), *gyms.values()]
-    cores = several(x["device"]["cpu_cores"] for x in used)
-    note = f"Steps per second with Jaco, {counts[0]} environments, {cores} cores;"
-    return grid(rows, used, note)
+    names = [f"{task}Jaco-v0" for task in TASKS]
+    of = {impl: [here.get((env, impl, counts[0])) for env in names] for impl in (NATIVE, MJX)}
+    of[THEIRS] = [gyms.get(env) for env in names]
+    rows = [[NAMES[impl], *map(_value, lines)] for impl, lines in of.items() if any(lines)]
+    used = [x for lines in of.values() for x in lines if x]
+    return grid([["", *TASKS], *rows], used, f"{OF_CPU} Jaco, {counts[0]} environments;")
 
 
 def laptop(folder: Path = RESULTS) -> str:

@@ -13,6 +13,7 @@ import argparse
 import json
 import multiprocessing
 import os
+import subprocess
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -40,6 +41,12 @@ def episodes(task: str, robot: str, count: int, seed: int) -> tuple[float, float
     return time.perf_counter() - start, time.process_time() - cpu, resets
 
 
+def commit() -> str | None:
+    """Git commit of this checkout; None outside of one."""
+    git = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
+    return subprocess.run(git, capture_output=True, text=True).stdout.strip() or None
+
+
 def main() -> None:
     """Measure, and print or keep the line."""
     flags = argparse.ArgumentParser(
@@ -59,7 +66,7 @@ def main() -> None:
     passed, cpu, resets = (np.array(x) for x in zip(*times, strict=True))
     steps = given.num_episodes * EPISODE_LENGTH
     line = {
-        "kind": "cpu", "measured": "speed", "env": given.env_name, "impl": "assistive-gym", "commit": "v0.1",
+        "kind": "cpu", "measured": "speed", "env": given.env_name, "impl": "assistive-gym", "commit": commit(),
         "num_envs": given.processes, "steps": steps * given.processes,
         "steps_per_s": round(float(np.sum(steps / passed))),
         "cpu_steps_per_s": round(steps * given.processes / float(cpu.sum())),

@@ -155,5 +155,8 @@ def test_gymnasium_takes_the_same(changed):
         assert not terminated and truncated == (step == 3)
         assert info["reward_terms"]["distance"] == pytest.approx(-2.0 * env.state.task.distance)
     assert reward == pytest.approx(sum(info["reward_terms"].values()), rel=1e-5)
+    PettingZooEnv = pytest.importorskip("agym_jax.adapters.pettingzoo").PettingZooEnv
+    pair = PettingZooEnv("ReachingJacoHuman-v0", **OPTIONS)
+    assert pair.core.changes == changed.changes
     envs: Any = gymnasium.make_vec(NAME, num_envs=2, **OPTIONS)
     assert envs.unwrapped.core.changes == changed.changes

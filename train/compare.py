@@ -74,7 +74,7 @@ def main(
             f"{runs[0].name} and {runs[1].name} are different environments; compare two runs of one."
         )
     env, first = load_seeds(runs[0], make, config.impl)
-    _, second = load_seeds(runs[1], lambda *_: env, config.impl)
+    _, second = load_seeds(runs[1], lambda *_, **__: env, config.impl)
     evaluator, key = Evaluator(env, config.num_episodes), jax.random.PRNGKey(config.seed)
     scores = [score_seeds(evaluator, policies, key) for policies in (first, second)]
     for run, found in zip(config.runs, scores, strict=True):

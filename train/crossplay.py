@@ -18,12 +18,12 @@ import tyro
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
 from agym_jax.policy.agents import BASELINES, Baseline, Pair, parts
-from agym_jax.policy.check import check_policy
+from agym_jax.policy.check import check_policy, settings_for
 from agym_jax.policy.files import find_policy, load_agent, run_file
 from agym_jax.policy.policy import Policy
 from agym_jax.registry import static_id
 
-from .envs import make_env, refuse_static_human
+from .envs import changed, make_env, refuse_static_human
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
@@ -137,8 +137,8 @@ def table(matrix: Matrix) -> str:
     return "\n".join(lines)
 
 
-def run(config: CrossplayConfig, make: Callable[[str, str], Any] = make_env) -> Matrix:
-    """Measure what the flags ask for; prints the table.
+def run(config: CrossplayConfig, make: Callable[..., Any] = make_env) -> Matrix:
+    """Measure what the flags ask for, in the environment with the settings of the first robot's training; prints the table.
 
     Raises:
         PolicyEnvironmentError, PolicyLayoutError: a policy does not fit; says what would.
@@ -146,11 +146,14 @@ def run(config: CrossplayConfig, make: Callable[[str, str], Any] = make_env) -> 
     if config.json:
         check_writable(Path(config.json).parent, "Choose another file with --json.")
     robot_files, humans_files = find_files(config)
-    env = make(config.env_name, config.impl)
+    settings = settings_for(robot_files[0], config.env_name)
+    env = make(config.env_name, config.impl, **settings)
     refuse_static_human(env)
     robots = {name: load_agent(name, env, "robot") for name in robot_files}
     humans = {name: load_agent(name, env, "human") for name in humans_files}
-    still = make(static_id(config.env_name), config.impl) if config.still_human else None
+    still = None
+    if config.still_human:
+        still = make(static_id(config.env_name), config.impl, **settings)
     for name, policy in robots.items():
         if still and isinstance(policy, Policy):
             check_policy(policy, still, name)
@@ -166,6 +169,7 @@ def run(config: CrossplayConfig, make: Callable[[str, str], Any] = make_env) -> 
                 human_policy=None if human == STILL else human,
                 seed=config.seed,
                 impl=str(getattr(env, "impl", config.impl)),
+                **changed(env),
                 **result.summary(),
             )
             append_record(config.json, line)
@@ -176,7 +180,7 @@ def run(config: CrossplayConfig, make: Callable[[str, str], Any] = make_env) -> 
 @reports_errors
 def main(
     arguments: Sequence[str] | None = None,
-    make: Callable[[str, str], Any] = make_env,
+    make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.crossplay",
 ) -> int:
     """The command line; returns the exit status."""

@@ -119,7 +119,9 @@ def test_commands_in_the_documents_exist(name):
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     text = (ROOT / name).read_text()
     for module in re.findall(r"python -m ([a-z_.]+)", text):
-        known = module in ("venv", "pytest", "mkdocs") or importlib.util.find_spec(module.rstrip("."))
+        known = module in ("venv", "pytest", "mkdocs") or importlib.util.find_spec(
+            module.rstrip(".")
+        )
         assert known, f"python -m {module}"
     commands_named = re.findall(r"agym-jax ([a-z-]+)", "\n".join(code_in(text)))
     assert set(commands_named) <= {*COMMANDS, *ALIASES}

@@ -140,6 +140,8 @@ class LearnConfig(EnvFlags):
     save_interval: Count = 0
     """Updates between two checkpoints, rounded up to a log line; 0 = about 10 in a run, and at
     least one a minute. A killed run loses at most what follows its last checkpoint."""
+    logger: tuple[Literal["tensorboard", "wandb", "trackio"], ...] = ()
+    """Where hyper-parameters and curves go besides the run's folder, one or several: each is an extra of its name."""
     fresh: bool = False
     """Start over: the results of an earlier run are moved aside instead of being continued."""
 

@@ -24,6 +24,7 @@ from . import record
 from .checkpoint import load_newest, save_checkpoint, steps_of
 from .curve import Row, combine_rows
 from .folder import RunFolder
+from .logging import Loggers
 
 PATIENCE = 300.0
 """Seconds that a run which is complete waits for a disk to have room again."""
@@ -41,6 +42,7 @@ class CheckpointManager:
         lanes: the trainings side by side; by default those of the configuration.
         writes: whether this host is the one that writes; all of them read.
         say: is told when results cannot be written, and when they can again.
+        loggers: get the rows that a checkpoint holds.
 
     Attributes:
         lanes: the trainings side by side.
@@ -61,6 +63,7 @@ class CheckpointManager:
         lanes: Sequence[Lane] | None = None,
         writes: bool = True,
         say: Callable[[str], None] = lambda text: None,
+        loggers: Loggers | None = None,
     ) -> None:
         self._env, self._config, self._agents = env, config, agents
         self._source, self._folder = folder, folder if writes else None
@@ -70,6 +73,7 @@ class CheckpointManager:
         self.stopped: dict[str, str] = {}
         self.seconds, self.saved_steps = 0.0, 0
         self.trouble = ""
+        self._loggers = loggers or Loggers((), None, say)
         self._say, self._behind = say, set[str]()  # files of curves that lack rows
         self._compatibility = {
             "trainer": agents.trainer,
@@ -136,6 +140,7 @@ class CheckpointManager:
                 resumed_from_step=self.saved_steps or None,
                 impl=str(getattr(self._env, "impl", self._config.impl)),
             )
+            self._loggers.begin(self._named())
         except SaveFolderError:
             raise
         except OSError as error:
@@ -143,6 +148,11 @@ class CheckpointManager:
                 f"Cannot write to the folder {str(self._folder.path)!r}: {error.strerror or error}. Nothing has been "
                 f"computed yet. Make room, or choose another with --save-dir."
             ) from error
+
+    def _named(self) -> dict[str, list[Row]]:
+        """The curves as loggers are given them."""
+        seeds = {lane.name: curve for lane, curve in zip(self.lanes, self.curves, strict=True)}
+        return {"": self.combined} | (seeds if len(self.lanes) > 1 else {})
 
     def add(self, rows: Mapping[int, Row]) -> Row:
         """Keep a row of the curve of each lane (by its index) that still learns; returns the one for all."""
@@ -226,6 +236,7 @@ class CheckpointManager:
         if self.trouble:
             self._say(f"Saved again, at step {self.saved_steps:,}.")
             self.trouble = ""
+        self._loggers.update(self._named())
         return True
 
     def save_end(self, learner: Any, seconds: float, patience: float | None = None) -> bool:

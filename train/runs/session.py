@@ -40,12 +40,14 @@ from ..learning.update import make_updates
 from .checkpoint import steps_of
 from .curve import Row, check_overflow, diverged, make_rows, refuse_diverged
 from .folder import RunFolder
+from .logging import LoggedRun, Loggers, check_loggers, flat
 from .manager import CheckpointManager, Policies
 from .progress import Progress, Silent, for_terminal
+from .record import commit
 from .result import SeedResult, TrainResult, summary
 
 SAVE_PERIOD = 60.0  # seconds after which a checkpoint is due at the next log line
-UNIMPORTANT = ("save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts")
+UNIMPORTANT = ("save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts", "logger")
 GPU_OPTIONS = {"xla_gpu_enable_triton_gemm": False}
 """Of the compiler: trying out Triton's matrix products takes half of the time to compile, and cuBLAS wins."""
 OnLog = Callable[[Row, Callable[[], Policies]], bool | None]
@@ -94,6 +96,7 @@ def run_session(
     is_main_process = jax.process_index() == 0  # one host writes, and tells
     progress = (progress if is_main_process else None) or Silent()
     folder = RunFolder(config.save_dir, env.name) if config.save_dir is not None else None
+    check_loggers(config.logger, config.save_dir)
     with contextlib.ExitStack() as stack:
         if folder and is_main_process:
             check_writable(folder.path.parent)
@@ -101,7 +104,21 @@ def run_session(
             if aside := folder.prepare(config.fresh):
                 progress.say(f"Starting over; the earlier run is now in {aside}")
         wait_for_hosts("folder")
-        return _run(env, config, single, mesh, progress, on_log, lanes, folder)
+        logged = logged_run(env, config, folder) if folder and is_main_process else None
+        loggers = Loggers(config.logger, logged, progress.say)
+        stack.callback(loggers.close)
+        return _run(env, config, single, mesh, progress, on_log, lanes, folder, loggers)
+
+
+def logged_run(env: Any, config: LearnConfig, folder: RunFolder) -> LoggedRun:
+    """What loggers are told of a run: its hyper-parameters, physics, device and commit."""
+    about = {
+        "impl": str(getattr(env, "impl", config.impl)),
+        "device": jax.devices()[0].device_kind,
+        "commit": commit(),
+    }
+    left_out = {name: None for name in ("save_dir", "logger", "fresh")}
+    return LoggedRun(env.name, folder.path, flat(dataclasses.asdict(config) | about | left_out))
 
 
 def _run(
@@ -113,6 +130,7 @@ def _run(
     on_log: OnLog | None,
     lanes: Sequence[Lane] | None,
     folder: RunFolder | None,
+    loggers: Loggers,
 ) -> TrainResult:
     """``run_session`` in a folder that is ours."""
     is_main_process = jax.process_index() == 0
@@ -123,7 +141,7 @@ def _run(
     venv = vectorize(env, num_envs // config.devices)
     key_learner, key_envs = split_keys(lane_keys(lanes))
     manager = CheckpointManager(
-        env, config, agents, folder, lanes, writes=is_main_process, say=progress.say
+        env, config, agents, folder, lanes, is_main_process, progress.say, loggers
     )
     learner, meta = manager.resume(jax.jit(agents.init)(key_learner))
     first_steps = steps_of(learner)
@@ -300,6 +318,7 @@ def command_line(
     try:
         config = parse_arguments(words, kind, prog)
         signal.signal(signal.SIGTERM, _on_terminate)
+        check_loggers(config.logger, config.save_dir)
         if config.save_dir is not None:  # before the environment is built, which takes seconds
             check_writable(Path(config.save_dir))
         join_hosts(config.hosts)

@@ -19,7 +19,16 @@ ELSEWHERE = {
     "CHANGELOG.md": "versions.md",
 }
 """Files of the repository that are pages of the site."""
-GUIDES = ("make_it_yours", "create_an_environment", "runs", "viewer", "torch", "brax", "onnx", "care")
+GUIDES = (
+    "make_it_yours",
+    "create_an_environment",
+    "runs",
+    "viewer",
+    "torch",
+    "brax",
+    "onnx",
+    "care",
+)
 RESULTS = ("benchmarks", "seeds", "parity", "deviations")
 HELP = ("troubleshooting", "versions", "contributing")
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|!\[[^]]*\]\([^)]*\))*)\]\(([^)\s#:]+)(#[^)\s]*)?\)")

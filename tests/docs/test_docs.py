@@ -183,7 +183,7 @@ def test_flags_in_the_documents_exist(name, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     for code in code_in((ROOT / name).read_text()):
         used = set(re.findall(r"(?<!\S)--[a-z][a-z-]*", code))
-        if not used or re.match(r"(python3|ruff|pytest|.*--check)\b", code):
+        if not used or re.match(r"(python3|ruff|pytest|tensorboard|trackio|.*--check)\b", code):
             continue
         named = TOOL.search(code)
         tools = set(COMMANDS) - {"list", "observe"}

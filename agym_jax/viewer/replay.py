@@ -13,7 +13,7 @@ from agym_jax.viewer.stage import Stage
 
 CAPTION = """<div style="position:fixed;left:14px;top:10px;font:14px sans-serif;color:#333;pointer-events:none">{}</div>"""
 BETWEEN = 2
-"""Frames of a control step; gowns are large, and have one."""
+"""Frames of a control step; gowns and many people are large, and have one."""
 END = 1.0  # how long the last frame stays [s]
 
 
@@ -35,7 +35,7 @@ def write_replay(
     picture.show(stage.places(), now, drawn.marks, drawn.surfaces)
     picture.aim("all" if stage.count > 1 else "front")
     record = picture.server.get_scene_serializer()
-    frames = 1 if drawn.surfaces else BETWEEN
+    frames = 1 if drawn.surfaces or stage.count > 1 else BETWEEN
     for _ in range(steps or stage.env.episode_length):
         stage.step()
         before, now = now, stage.moment()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from agym_jax.tasks import TASKS
 from benchmarks.markdown import EARLIER, Line, is_earlier, read_results
 from benchmarks.policy_tables import shipped
 
+REPLAYS = "replays"
+"""Folder of the site with an episode of each shipped policy to look around in."""
 CLIPS = Path(__file__).resolve().parents[2] / "docs" / "images" / "clips"
 SECTION = "environments"
 BEFORE = f"{EARLIER} measured before the present physics"
@@ -74,6 +77,13 @@ def page(name: str) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def replayed() -> list[str]:
+    """Ids whose pages have a replay: ``DOCS_REPLAYS`` names them, or "all" that a policy ships for; none without it."""
+    asked = os.environ.get("DOCS_REPLAYS", "")
+    known = sorted(set(shipped()) & set(list_envs()))
+    return known if asked == "all" else [parse(name).name for name in asked.split(",") if name]
+
+
 def _head(recipe: Recipe) -> str:
     """Picture, what it is about, and sizes."""
     task, robot = recipe.task, recipe.robot
@@ -83,6 +93,9 @@ def _head(recipe: Recipe) -> str:
     if own or still:
         of = "The policy that ships" if own else f"The policy of {static_id(recipe.name)}"
         lines += [f"![{of}]({own or still}){{ .clip }}", ""]
+    if recipe.name in replayed():
+        link = f'<a class="md-button" href="../{REPLAYS}/{recipe.name}.html">Look around in it</a>'
+        lines += [link, ""]
     lines += [_summary(task), ""]
     acts = "Robot and person act" if recipe.active else "The robot acts, the person is passive"
     else_ = "passive" if recipe.active else "acting too"

@@ -53,6 +53,16 @@ def test_what_was_measured_is_told():
     assert "No policy has been measured" in environments.page("FeedingSawyerHuman-v0")
 
 
+def test_replays_are_linked_where_they_are_asked_for(monkeypatch):
+    name, link = "ReachingJaco-v0", 'href="../replays/ReachingJaco-v0.html"'
+    assert environments.replayed() == [] and link not in MADE[f"environments/{name}.md"]
+    monkeypatch.setenv("DOCS_REPLAYS", name)
+    assert environments.replayed() == [name] and link in environments.page(name)
+    monkeypatch.setenv("DOCS_REPLAYS", "all")
+    assert name in environments.replayed()
+    assert "DrinkingBaxter-v0" not in environments.replayed()
+
+
 def test_every_page_has_one_place():
     placed = flat(pages.navigation())
     written = {str(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}

@@ -26,7 +26,7 @@ LENGTH_OF_10_N = 0.15  # of an arrow [m]
 LONGEST = 0.6  # arrow [m]
 LABEL_AT, MIDDLE = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 0.6])
 """Of an environment [m]: where its label is, and where one looks at."""
-OVERVIEW = np.array([-0.25, -0.95, 0.8])
+OVERVIEW = np.array([-0.28, -1.06, 0.9])
 """From where one looks at several, in their width."""
 FEW = 4  # environments that are drawn with shadows and all detail
 AMBIENT = 0.35  # light from everywhere, beside viser's lamps

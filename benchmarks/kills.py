@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import random
 import signal
 import subprocess
@@ -39,6 +40,7 @@ from train.runs.checkpoint import checkpoint_files
 from train.runs.folder import RunFolder
 
 SIGNALS = (signal.SIGKILL,) * 3 + (signal.SIGTERM, signal.SIGINT)
+PROGRAM = (sys.executable, "-m", "agym_jax")
 WRITING = 0.25
 """Share of the kills that wait for a file that is being written."""
 TIMES = ("seconds", "steps_per_second")
@@ -74,13 +76,18 @@ class KillsConfig:
     """File to which the result is added as a JSON line."""
 
 
+def environment() -> dict[str, str]:
+    """Variables of the processes: the settings are those of a CPU."""
+    return {**os.environ, "JAX_PLATFORMS": "cpu"}
+
+
 def settings(config: KillsConfig, seed: int, folder: Path) -> PPOConfig:
     """Of a run, in Python."""
     return dataclasses.replace(
-        config_for(config.env_name),
+        config_for(config.env_name, platform="cpu"),
         impl="native", seed=seed, save_dir=str(folder), num_env_steps=config.num_env_steps, num_envs=config.num_envs,
         log_interval=config.interval, save_interval=config.interval, policy_hidden=(16,), value_hidden=(16,),
-        ppo_epoch=2, num_mini_batch=2,
+        ppo_epoch=2, num_mini_batch=2, logger=("tensorboard",),
     )  # fmt: skip
 
 
@@ -90,7 +97,7 @@ def commands(config: KillsConfig, seed: int, folder: Path) -> list[list[str]]:
     flags = {
         name: getattr(s, name)
         for name in ("impl", "seed", "save_dir", "num_env_steps", "num_envs", "log_interval", "save_interval",
-                     "policy_hidden", "value_hidden", "ppo_epoch", "num_mini_batch")
+                     "policy_hidden", "value_hidden", "ppo_epoch", "num_mini_batch", "logger")
     }  # fmt: skip
     words = ["--env-name", config.env_name]
     for name, value in flags.items():
@@ -183,7 +190,7 @@ def one_kill(words: Sequence[str], disk: Disk, delay: float, chance: random.Rand
     said_path = folder / "said.txt"
     with said_path.open("w") as said:
         process = subprocess.Popen(
-            [sys.executable, "-m", "agym_jax", *words], stdout=said, stderr=subprocess.STDOUT
+            [*PROGRAM, *words], stdout=said, stderr=subprocess.STDOUT, env=environment()
         )
         try:
             alive = wait_for(process, delay, disk.parts if writing else None)
@@ -235,14 +242,29 @@ def differences(one: RunFolder, other: RunFolder) -> list[str]:
     return found + (["curve"] if curves[0] != curves[1] else [])
 
 
+def logged_otherwise(folder: RunFolder) -> list[str]:
+    """Columns of the curve that TensorBoard reads otherwise from the run's log."""
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    read = EventAccumulator(str(folder.path / "tensorboard"))
+    read.Reload()
+    rows, found = [json.loads(line) for line in folder.curve.read_text().splitlines()], []
+    for name in rows[0].keys() - {"env_steps"}:
+        wanted = [(x["env_steps"], np.float32(x[name])) for x in rows if x[name] is not None]
+        tag = name if "/" in name else f"train/{name}"
+        there = tag in read.Tags()["scalars"]
+        have = [(x.step, np.float32(x.value)) for x in read.Scalars(tag)] if there else []
+        found += [f"log of {name}"] if have != wanted else []
+    return found
+
+
 def finish(words: Sequence[str], folder: Path) -> None:
     """Give a command once more, and let it end.
 
     Raises:
         ChildError: it failed.
     """
-    command = [sys.executable, "-m", "agym_jax", *words]
-    found = subprocess.run(command, capture_output=True, text=True)
+    found = subprocess.run([*PROGRAM, *words], capture_output=True, text=True, env=environment())
     (folder / "said.txt").write_text(found.stdout + found.stderr)
     if found.returncode:
         raise ChildError(f"{words[0]} failed:\n{(found.stdout + found.stderr)[-2000:]}")
@@ -279,7 +301,7 @@ def one_run(
     evaluated = [json.loads(line)["env"] for line in lines]
     stops = sorted({x["saved"] for x in state["kills"] if x["run"] == seed} - {0, disk.total})
     clean = stopped_cleanly(config, seed, stops, config.folder / f"clean_{seed}")
-    differ = differences(disk.folder, clean)
+    differ = differences(disk.folder, clean) + logged_otherwise(disk.folder)
     state["runs"].append(
         {"run": seed, "stops": stops, "differ": differ, "evaluated": len(evaluated)}
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 
@@ -120,6 +120,26 @@ def resume(folder: Path = RESULTS) -> str:
         "uninterrupted runs, seeds 1, 2, ...": lambda x: ends(x["unbroken"]),
     }
     return table(read_results("resume", ("env",), folder), columns, itemgetter("env"))
+
+
+def kills(folder: Path = RESULTS) -> str:
+    """What runs lose that are killed again and again."""
+
+    def counts(found: Mapping[str, int]) -> str:
+        return ", ".join(f"{name} {count}" for name, count in sorted(found.items()))
+
+    columns = {
+        "environment": lambda x: x["env"],
+        "kills": lambda x: x["kills"],
+        "by": lambda x: counts(x["signals"]),
+        "while": lambda x: counts(x["phases"]),
+        "runs of steps": lambda x: f"{x['runs']} of {x['steps']:,}",
+        "steps between checkpoints": lambda x: x["interval"],
+        "most steps to train again: killed": lambda x: x["lost_most"],
+        "interrupted": lambda x: x["lost_most_interrupted"],
+        "runs that end otherwise": lambda x: x["differing_runs"],
+    }
+    return table(read_results("kills", ("env",), folder), columns, itemgetter("env"))
 
 
 def reach(folder: Path = RESULTS) -> str:
@@ -259,6 +279,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "training-speed": training_speed,
     "brax-ppo": brax_ppo,
     "resume": resume,
+    "kills": kills,
     "nan": nan,
     "reach": reach,
     "pulls": pulls,

@@ -10,9 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from agym_jax.data.npz import write_npz
+from agym_jax.errors import DamagedFileError
 from benchmarks import compile as starts
-from benchmarks import nan, resume, tables, throughput, training_speed
+from benchmarks import kills, nan, resume, tables, throughput, training_speed
 from benchmarks.child import ChildError, run_child
+from train.configs import parse_arguments
+from train.runs.folder import RunFolder
 
 
 def test_percentile_of_a_histogram_is_right_to_a_bin():
@@ -114,3 +118,28 @@ def test_the_table_of_training_compares_with_one_learner_on_one_device(tmp_path)
     (tmp_path / "training_speed.jsonl").write_text("\n".join(map(json.dumps, (two, one))))
     rows = tables.training_speed(tmp_path).splitlines()[2:4]
     assert [row.split("|")[-2].strip() for row in rows] == ["1.00", "0.75"]
+
+
+def test_what_a_kill_breaks_is_found(tmp_path):
+    config = kills.KillsConfig(folder=tmp_path, num_env_steps=1440)
+    disk = kills.Disk(config, RunFolder(str(tmp_path), config.env_name))
+    disk.folder.checkpoints.mkdir(parents=True)
+    rows = [{"env_steps": 480}, {"env_steps": 960}]
+    disk.folder.write_curve(rows)
+    checkpoint = disk.folder.checkpoints / "step_000000000480.npz"
+    write_npz(checkpoint, {"a": np.ones(2)}, {"curve": rows[:1]})
+    assert disk.faults() == [] and disk.saved() == 480 and disk.total == 1440
+    disk.folder.write_curve([*rows, rows[-1]])
+    assert disk.faults() == ["rows of steps [480, 960, 960]"]
+    disk.folder.write_curve(rows[1:])
+    assert len(disk.faults()) == 2
+    checkpoint.write_bytes(checkpoint.read_bytes()[:99])
+    with pytest.raises(DamagedFileError):
+        disk.faults()
+
+
+def test_the_commands_of_a_killed_run_mean_its_settings(tmp_path):
+    config = kills.KillsConfig(folder=tmp_path)
+    train, evaluate = kills.commands(config, 3, tmp_path)
+    assert parse_arguments(train[1:], platform="cpu") == kills.settings(config, 3, tmp_path)
+    assert (train[0], evaluate[0]) == ("train", "evaluate")

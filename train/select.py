@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ import jax
 import tyro
 
 from agym_jax.changes import arguments_of
-from agym_jax.data.npz import check_writable
+from agym_jax.data.npz import check_writable, write_file
 from agym_jax.errors import (
     PolicyEnvironmentError,
     PolicyLayoutError,
@@ -165,7 +164,7 @@ def main(
     ships, unfit = measure_shipped(evaluator, config) if config.shipped else (None, "")
     for name in set(FILE_NAMES.values()):
         if (path := seed_folders(run)[scores.best] / name).is_file():
-            shutil.copyfile(path, run / name)
+            write_file(run / name, path.read_bytes())  # whole, also if this is killed
     print(scores.table())
     print(f"Chosen: seed {scores.best}, now {run / FILE_NAMES['robot']}. Over other people:")
     print(reported.table())

@@ -2,8 +2,8 @@
 
 RUNS are folders that ``agym-jax suite`` had as ``--save-dir``. Of each run whose seeds were measured, the choice
 (``results/selection.jsonl``), what training was (``results/seed_training.jsonl``) and what the chosen policy achieves
-over other people are kept. The chosen policy replaces the one that ships where it succeeds more often, over the same
-people in the same physics if ``select`` measured both; where none ships, from ``--least`` on. Then the tables and the
+over other people are kept. The chosen policy replaces the one that ships where it succeeds more often (gently, if it was trained
+under a cost limit; such choices are in ``results/gentle.jsonl``), over the same people in the same physics if ``select`` measured both; where none ships, from ``--least`` on. Then the tables and the
 picture of the curves are made anew. Collecting the same runs again changes nothing.
 """
 
@@ -171,9 +171,10 @@ def decide(found: Found, least: float) -> tuple[bool, str]:
         theirs, where = recorded().get(name), "its recorded evaluation"
     if not theirs:
         return ours["success"] >= least, "what ships was never measured"
+    measure = "gentle_success" if found.choice.get("chosen_gently") else "success"
     return (
-        ours["success"] > theirs["success"],
-        f"what ships has {theirs['success']:.1%} over {where}",
+        ours[measure] > theirs.get(measure, 0.0),
+        f"what ships has {theirs.get(measure, 0.0):.1%} over {where}",
     )
 
 
@@ -205,8 +206,11 @@ def collect(found: Found, config: CollectConfig) -> tuple[bool, str]:
     name, choice = found.run.name, found.choice
     ships, why = decide(found, config.least)
     if not config.dry:
-        put("selection", choice, ("env", "time"))
-        put("seed_training", found.training, ("env", "time"))
+        if choice.get("chosen_gently"):
+            put("gentle", {**choice, "cost_limit": found.training["cost_limit"]}, ("env", "time"))
+        else:
+            put("selection", choice, ("env", "time"))
+            put("seed_training", found.training, ("env", "time"))
         info: dict[str, Any] = {}
         summary = reported(choice)
         if ships:

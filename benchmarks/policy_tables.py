@@ -43,7 +43,8 @@ def chosen_among(folder: Path = RESULTS) -> str:
     """Among how many seeds each shipped policy was chosen, in a sentence."""
     chosen = {
         (x["env"], x["commit"][:COMMIT], x["chosen"]): len(x["seeds"])
-        for x in read_results("selection", ("env", "commit", "chosen"), folder)
+        for name in ("selection", "gentle")
+        for x in read_results(name, ("env", "commit", "chosen"), folder)
     }
     among: dict[int, list[str]] = {}
     for path in sorted((asset_root() / "policies").glob("*.npz")):
@@ -106,6 +107,31 @@ def selections(folder: Path = RESULTS) -> str:
     took = sum(x["wall_seconds"] or x["train_seconds"] for x in of if x)
     note = f"{episodes} episodes of each seed, mode; all trainings one after another: {duration(took)};"
     return grid([overview.HEADINGS, *rows], lines, note)
+
+
+def gentle(folder: Path = RESULTS) -> str:
+    """What trainings under a cost limit achieve, beside the policy that shipped before."""
+
+    def shares(values: list[float]) -> str:
+        return ", ".join(f"{100 * x:.3g}" for x in values)
+
+    def figures(x: Line) -> str:
+        return f"{x['gentle_success']:.1%}, {x['success']:.1%}, {x['peak_median']:.0f} N"
+
+    columns = {
+        "environment": lambda x: x["env"],
+        "limit": lambda x: f"{x['cost_limit']:g}",
+        "seeds x steps": lambda x: f"{len(x['seeds'])} x {x['num_env_steps'] / 1e6:.3g} M",
+        "gentle success of each seed [%]": lambda x: shares(x["gentle_success_of_seeds"]),
+        "success of each seed [%]": lambda x: shares(x["success_of_seeds"]),
+        "chosen seed, over other people: gentle, success, median peak": lambda x: (
+            f"{x['chosen']}: {figures(x['reported'])}"
+        ),
+        "trained without a limit": lambda x: figures(x["shipped"]),
+    }
+    lines = read_results("gentle", ("env", "cost_limit"), folder)
+    episodes = several(f"{x['episodes']:,}" for x in lines)
+    return table(lines, columns, itemgetter("env"), f"{episodes} episodes of each seed, mode;")
 
 
 def sweeps(folder: Path = RESULTS) -> str:

@@ -23,7 +23,10 @@ from benchmarks.markdown import (
 )
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = (ROOT / "README.md", ROOT / "docs" / "benchmarks.md", ROOT / "docs" / "seeds.md")
+PAGES = (
+    ROOT / "README.md",
+    *(ROOT / "docs" / f"{name}.md" for name in ("benchmarks", "seeds", "care")),
+)
 
 
 class TableError(ValueError):
@@ -274,6 +277,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "policies": policy_tables.policies,
     "selections": policy_tables.selections,
     "sweeps": policy_tables.sweeps,
+    "gentle": policy_tables.gentle,
     "together": policy_tables.together,
     "seeds": policy_tables.seeds,
     "training-speed": training_speed,

@@ -113,9 +113,9 @@ class LearnConfig(EnvFlags):
     """With cost_limit: derivative gain, per update, while the cost rises."""
     cost_multiplier_max: float = 2.0
     """With cost_limit: largest multiplier. At 1, cost and reward weigh alike; much more, and the task may be given up."""
-    cost_tighten_from: float = 0.2
+    cost_tighten_from: float = 0.35
     """With cost_limit: share of the run after which the limit falls, from any cost, so that the task is learned first."""
-    cost_tighten_until: float = 0.6
+    cost_tighten_until: float = 0.7
     """With cost_limit: share of the run after which the limit is cost_limit."""
 
     policy_hidden: tuple[int, ...] = (64, 64)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
@@ -93,11 +94,11 @@ def parse_flags(
 
     Args:
         kind: of the settings; all of its fields have defaults.
-        arguments: words.
+        arguments: words; None: those of this process.
         prog: what was typed to start it, for the help.
         description: for the help.
     """
-    words = list(arguments or ())
+    words = sys.argv[1:] if arguments is None else list(arguments)
     usual = kind()
     default = dataclasses.replace(usual, task=task_config(env_name_in(words, usual.env_name)))
     return tyro.cli(kind, prog=prog, description=description, args=words, default=default)

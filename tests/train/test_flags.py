@@ -17,7 +17,7 @@ from train.configs import PPOConfig, config_for, parse_arguments
 from train.enjoy import EnjoyConfig
 from train.errors import CheckpointMismatchError
 from train.evaluate import EvaluateConfig
-from train.flags import parse_flags
+from train.flags import EnvFlags, parse_flags
 from train.sweep import SweepConfig
 
 WORDS = (
@@ -129,3 +129,9 @@ def test_a_run_of_other_settings_is_not_continued(tmp_path, capsys, restored_set
     asked = ["--episode-length", "10", "--json", str(line)]
     assert evaluate.main([*measure, *asked], make) == 0
     assert json.loads(line.read_text())["changes"] == {"episode_length": 10}
+
+
+def test_a_command_without_arguments_reads_those_of_its_process(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["evaluate.py", "--env-name", "FeedingPR2-v0"])
+    assert parse_flags(EnvFlags, None, "evaluate").env_name == "FeedingPR2-v0"
+    assert parse_flags(EnvFlags, [], "evaluate").env_name == EnvFlags.env_name

@@ -10,6 +10,11 @@ Importing the package imports neither JAX nor a task: each is loaded when it is 
 
 from __future__ import annotations
 
+from agym_jax.interrupts import is_program, leave_quietly
+
+if is_program():  # Gymnasium and NumPy take a while, and an interrupt in them says nothing
+    leave_quietly()
+
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 

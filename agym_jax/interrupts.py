@@ -9,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import FrameType
 
 INTERRUPTED = 130
@@ -21,6 +23,19 @@ def _leave(*_: object) -> None:
     os._exit(
         INTERRUPTED
     )  # an exception could be caught, or turned into another, by what is imported
+
+
+def is_program() -> bool:
+    """Whether this package is being imported in order to run one of its commands."""
+    if not sys.argv or sys.argv[0] != "-m":  # which it is while Python looks for the module
+        return bool(sys.argv) and Path(sys.argv[0]).stem == "agym-jax"
+    at = sys.orig_argv.index("-m") + 1 if "-m" in sys.orig_argv else 0
+    module = sys.orig_argv[at]
+    trainer = getattr(sys.modules.get("train"), "__file__", None)
+    ours = trainer and Path(trainer).parents[1] == Path(__file__).parents[1]
+    return module == "agym_jax" or module.startswith(
+        ("agym_jax.train.", "train.") if ours else "agym_jax.train."
+    )
 
 
 def leave_quietly() -> None:

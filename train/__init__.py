@@ -6,16 +6,9 @@ statistics of Brax; the training loop, checkpoints and policy files are our own.
 this folder as ``agym_jax.train``.
 """
 
-import sys
 from importlib.util import find_spec
 
 from agym_jax.errors import MissingExtraError
-from agym_jax.interrupts import leave_quietly
-
-_commands = f"{__name__}."
-if sys.argv[:1] == ["-m"] and any(word.startswith(_commands) for word in sys.orig_argv):
-    # python -m train.<command> is importing us; it has not begun
-    leave_quietly()
 
 _missing = [name for name in ("tyro", "rich", "matplotlib", "PIL") if not find_spec(name)]
 if _missing:

@@ -196,7 +196,7 @@ SIGNAL_AT_IMPORT = """
 import os, signal, sys
 class Finder:
     def find_spec(self, name, path=None, target=None):
-        if name == "jax":
+        if name == os.environ["INTERRUPT_AT"]:
             os.kill(os.getpid(), signal.SIGINT)
 sys.meta_path.insert(0, Finder())
 """
@@ -205,12 +205,13 @@ sys.meta_path.insert(0, Finder())
 @pytest.mark.parametrize(
     "command", ["agym_jax train", "train.ppo", "train.coop", "train.suite", "agym_jax evaluate"]
 )
-def test_an_interrupt_while_modules_are_imported_is_quiet(tmp_path, command):
+@pytest.mark.parametrize("module", ["gymnasium", "jax"])
+def test_an_interrupt_while_modules_are_imported_is_quiet(tmp_path, command, module):
     (tmp_path / "sitecustomize.py").write_text(SIGNAL_AT_IMPORT)
     paths = os.pathsep.join([str(tmp_path), str(ROOT)])
     found = subprocess.run(
         [sys.executable, "-m", *command.split(), "--env-name", "ReachingJaco-v0"], capture_output=True, text=True,
-        env={**os.environ, "PYTHONPATH": paths}, cwd=tmp_path, timeout=PROCESS_SECONDS,
+        env={**os.environ, "PYTHONPATH": paths, "INTERRUPT_AT": module}, cwd=tmp_path, timeout=PROCESS_SECONDS,
     )  # fmt: skip
     assert (found.returncode, found.stdout, found.stderr) == (130, "", "")
 

@@ -129,6 +129,8 @@ class TorchVectorEnv:
             seeds = [seed + i for i in range(self.num_envs)]
         else:
             seeds = [int(x) for x in self._seeds.integers(2**31, size=self.num_envs)]
+        if self.device.type == "cuda":  # JAX may take over memory that PyTorch's kernels still read
+            torch.cuda.synchronize(self.device)
         self._state = self._reset(keys_of(seeds))
         return self.observations, self._info()
 

@@ -9,7 +9,8 @@ SECTIONS = {
     "environments": ("agym_jax.env", "agym_jax.state", "agym_jax.wrappers", "agym_jax.registry"),
     "adapters": (
         "agym_jax.adapters.gymnasium", "agym_jax.adapters.vector", "agym_jax.adapters.pettingzoo",
-        "agym_jax.adapters.brax", "agym_jax.adapters.torch",
+        "agym_jax.adapters.brax", "agym_jax.adapters.torch", "agym_jax.adapters.rsl_rl", "agym_jax.adapters.skrl",
+        "agym_jax.adapters.stable_baselines3",
     ),
     "people_and_robots": ("agym_jax.human.population", "agym_jax.human.regions", "agym_jax.variation", "agym_jax.changes"),
     "tasks": ("agym_jax.spec.task", "agym_jax.spec.optional", "agym_jax.spec.robot", "agym_jax.sense", "agym_jax.observe", "agym_jax.preferences"),

@@ -113,7 +113,7 @@ def test_a_chosen_person_begins_the_episode_again(tab: Tab):
 
 def test_an_exported_episode_opens_without_a_server(tmp_path: Path):
     page = tmp_path / "page.html"
-    with start(ID, "--export", str(page), "--steps", "20") as viewer:
+    with start(ID, "--export", str(page), "--steps", "60") as viewer:
         said = viewer.communicate()[0]
     assert "opens without a server" in said, said
     assert 0.8e6 < page.stat().st_size < 2e6

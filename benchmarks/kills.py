@@ -43,6 +43,8 @@ SIGNALS = (signal.SIGKILL,) * 3 + (signal.SIGTERM, signal.SIGINT)
 PROGRAM = (sys.executable, "-m", "agym_jax")
 WRITING = 0.25
 """Share of the kills that wait for a file that is being written."""
+PATIENCE = 5.0
+"""Seconds [s] that they wait; files are written within milliseconds, and may be missed."""
 TIMES = ("seconds", "steps_per_second")
 """Columns of a curve that no two runs share."""
 Row = dict[str, Any]
@@ -138,7 +140,8 @@ class Disk:
 
     def parts(self) -> list[Path]:
         """Files that are being written, or were when a process was killed."""
-        return list(self.folder.path.rglob(f".*{PART}"))
+        folders = (self.folder.path, self.folder.checkpoints)
+        return [part for folder in folders for part in folder.glob(f".*{PART}")]
 
     def saved(self) -> int:
         """Steps of the newest checkpoint."""
@@ -172,8 +175,9 @@ def wait_for(process: subprocess.Popen, seconds: float, writing: Callable[[], An
     deadline = time.monotonic() + seconds
     while process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.005)
-    while process.poll() is None and writing and not writing():
-        time.sleep(0.0005)
+    deadline = time.monotonic() + PATIENCE
+    while process.poll() is None and writing and time.monotonic() < deadline and not writing():
+        pass
     return process.poll() is None
 
 

@@ -21,12 +21,16 @@ FLAGS = (
     "--remote-debugging-port=0",
 )  # fmt: skip
 
-QUIET = """addEventListener('DOMContentLoaded', () => {
+PREPARED = """addEventListener('DOMContentLoaded', () => {
   const style = document.createElement('style');
   style.textContent = '.mantine-Notifications-root { display: none }';
   document.head.append(style);
-});"""
-"""Hides viser's warning that the browser draws without a GPU."""
+});
+const context = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, options) {
+  return context.call(this, kind, {...options, preserveDrawingBuffer: true});
+};"""
+"""Hides viser's warning that the browser draws without a GPU, and keeps what is drawn for ``Tab.canvas``."""
 
 
 class Tab:
@@ -107,6 +111,13 @@ class Tab:
         for kind in ("rawKeyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, key=key, code=code)
 
+    def canvas(self) -> bytes:
+        """What is drawn on the largest canvas, .png; much faster than a screenshot where there is no GPU."""
+        url = self.run(
+            "[...document.querySelectorAll('canvas')].sort((a, b) => b.width - a.width)[0].toDataURL()"
+        )
+        return base64.b64decode(url.partition(",")[2])
+
     def picture(self, file: Path | None = None) -> bytes:
         """A screenshot, .png."""
         data = base64.b64decode(self.call("Page.captureScreenshot")["data"])
@@ -145,7 +156,7 @@ def chromium(folder: Path, width: int = 1280, height: int = 800) -> Iterator[Cal
         connections.append(connection)
         tab = Tab(connection)
         tab.call("Page.enable")
-        tab.call("Page.addScriptToEvaluateOnNewDocument", source=QUIET)
+        tab.call("Page.addScriptToEvaluateOnNewDocument", source=PREPARED)
         tab.call("Page.navigate", url=address)
         return tab
 

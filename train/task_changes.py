@@ -33,6 +33,7 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "ScratchItch": _MANY_STROKES,
     "ScratchItchBaxter": _MANY_STROKES | {"entropy_coef": 0.006},
     "ScratchItchJaco": _MANY_STROKES | {"entropy_decay_share": 1.0},
+    "ScratchItchPR2": _MANY_STROKES | {"entropy_decay_share": 1.0},
     "BedBathing": _MANY_STROKES,
     "Feeding": _SLOW,
     # with wide exploration the water is spilled, and not pouring is learned first

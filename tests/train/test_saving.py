@@ -199,6 +199,7 @@ class Finder:
         if name == os.environ["INTERRUPT_AT"]:
             os.kill(os.getpid(), signal.SIGINT)
 sys.meta_path.insert(0, Finder())
+signal.signal(signal.SIGINT, signal.default_int_handler)  # it is ignored in what runs in the background
 """
 
 

@@ -35,7 +35,7 @@ class ChangedEnv(FakeEnv):
 
     changes: dict[str, Any] = {}  # noqa: RUF012
     humans = Population()
-    task = None
+    variation = task = None
 
 
 def make(name: str, impl: str, episode_length: int = 20, **options: Any) -> ChangedEnv:

@@ -177,7 +177,7 @@ def wait_for(process: subprocess.Popen, seconds: float, writing: Callable[[], An
         time.sleep(0.005)
     deadline = time.monotonic() + PATIENCE
     while process.poll() is None and writing and time.monotonic() < deadline and not writing():
-        pass
+        time.sleep(0)  # a file is there for a millisecond
     return process.poll() is None
 
 

@@ -361,6 +361,8 @@ def measure(config: KillsConfig) -> Row | None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status, 3 if there is more to do."""
     config = tyro.cli(KillsConfig, prog="python -m benchmarks.kills", args=arguments)
+    # what a shell starts in the background ignores SIGINT, and so would the processes that are to be killed by it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         fields = measure(config)
     except ChildError as error:

@@ -243,14 +243,22 @@ print("left", sorted(x.name for x in run.rglob(".*")))
 """
 
 
+@pytest.fixture
+def mounted(tmp_path):
+    """The command that makes ``tmp_path`` a disk of 1 MB, for ``unshare -rm``."""
+    command = f"mount -t tmpfs -o size=1m tmpfs {tmp_path}"
+    unshare = shutil.which("unshare")
+    if not unshare or subprocess.run([unshare, "-rm", "sh", "-c", command]).returncode:
+        pytest.skip(
+            "a disk of 1 MB is mounted in a user namespace, which only Linux has and some containers forbid; "
+            "the tests above fill the disk by writers that fail, everywhere"
+        )
+    return command
+
+
 @pytest.mark.slow
-def test_a_disk_that_is_really_full(tmp_path):
-    if not shutil.which("unshare"):
-        pytest.skip("needs unshare")
+def test_a_disk_that_is_really_full(tmp_path, mounted):
     fields = dataclasses.asdict(SMALL) | {"save_dir": str(tmp_path), "num_env_steps": 1600}
-    mounted = f"mount -t tmpfs -o size=1m tmpfs {tmp_path}"
-    if subprocess.run(["unshare", "-rm", "sh", "-c", mounted], capture_output=True).returncode:
-        pytest.skip("may not mount here")
     (tmp_path.parent / "full.py").write_text(TMPFS.format(folder=str(tmp_path), fields=fields))
     script = f"{mounted} && exec {sys.executable} {tmp_path.parent / 'full.py'}"
     found = subprocess.run(

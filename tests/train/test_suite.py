@@ -15,12 +15,15 @@ from paths import PROCESS_SECONDS, ROOT, SUPPORT
 from train_runs import start_python
 
 from agym_jax.errors import UnknownNameError
-from train import suite
 from train.errors import ConfigError
-from train.runs import children
 from train.runs.checkpoint import checkpoint_files
 from train.runs.overview import read_rows, wall_seconds
-from train.suite import Runner, SuiteConfig, Whole, describe, main, steps_of, suite_ids
+from train.suite import describe, main
+from train.suites import children
+from train.suites import runner as runners
+from train.suites.plan import SuiteConfig, steps_of, suite_ids
+from train.suites.runner import Runner
+from train.suites.whole import Whole
 
 # Stands for agym-jax: writes down how it was called, and makes a selection where one is asked for.
 STUB = """
@@ -116,7 +119,7 @@ PATHS = {"PYTHONPATH": f"{ROOT}{os.pathsep}{SUPPORT}"}
 IDS = ["ReachingJaco-v0", "FeedingJaco-v0"]
 SUITE = """
 from train.suite import main
-from train.runs.children import own_program
+from train.suites.children import own_program
 raise SystemExit(main({words!r}, program=own_program("suite_stub")))
 """
 
@@ -221,7 +224,7 @@ def test_gpus(monkeypatch):
 
 def test_two_suites_do_not_work_on_one_environment(tmp_path, program, monkeypatch):
     config = SuiteConfig(num_seeds=2, save_dir=str(tmp_path), clips=False)
-    monkeypatch.setattr(suite, "PATIENCE", 0.0)
+    monkeypatch.setattr(runners, "PATIENCE", 0.0)
     with (tmp_path / f"{IDS[0]}.log").open("a") as file:
         assert children.claim(file)
         busy, free = Runner(config, program).all(IDS)

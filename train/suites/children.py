@@ -12,7 +12,7 @@ from threading import RLock
 from typing import IO
 
 from ..errors import ConfigError
-from .lock import try_lock
+from ..runs.lock import try_lock
 
 _WITH_PARENT = """
 import ctypes, os, runpy, signal, sys

@@ -342,14 +342,15 @@ def learn(
         update = partial(running_statistics.update, std_min_value=STD_MIN, pmap_axis_name=axis)
         normalizer = update(normalizer, batch.obs)
         critic_normalizer = critic_normalizer and update(critic_normalizer, batch.critic_obs)
-    done = progress + jnp.float32(batch_steps(batch, axis)) / hyper.total_steps
+    steps = batch_steps(batch, axis)
+    reached = progress + jnp.float32(steps) / hyper.total_steps
     agent = replace(
         agent,
-        params=params.replace(policy=keep_noise(params.policy, hyper.noise_floor, done)),
+        params=params.replace(policy=keep_noise(params.policy, hyper.noise_floor, reached)),
         optimizer=state,
         normalizer=normalizer,
         returns=returns,
-        env_steps=agent.env_steps + jnp.uint32(batch_steps(batch, axis)),
+        env_steps=agent.env_steps + jnp.uint32(steps),
         updates=agent.updates + 1,
         critic_normalizer=critic_normalizer,
         constraint=constraint,

@@ -160,14 +160,11 @@ def list_ids(argv: Sequence[str] | None = None, prog: str = "agym-jax list") -> 
 
 def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax observe") -> int:
     """Print an environment's observation tables; returns the exit status."""
-    parser = argparse.ArgumentParser(prog=prog, description="Print an environment's observations.")
-    parser.add_argument("id", help="environment id, such as ScratchItchJaco-v0")
-    name = parser.parse_args(argv).id
+    recipe = _recipe(argv, prog, "Print an environment's observations.")
+    if recipe is None:
+        return 2
     from agym_jax import observe
 
-    recipe = _recipe(name)
-    if recipe is None:
-        return 1
     records = {"Robot": recipe.task.robot_obs}
     if recipe.active:
         records["Human"] = recipe.task.human_obs
@@ -178,27 +175,27 @@ def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax o
 
 def show_settings(argv: Sequence[str] | None = None, prog: str = "agym-jax settings") -> int:
     """Print what ``config`` and ``humans`` of ``agym_jax.make`` can change; returns the exit status."""
-    parser = argparse.ArgumentParser(prog=prog, description="Print what can be changed of an id.")
-    parser.add_argument("id", help="environment id, such as ScratchItchJaco-v0")
-    name = parser.parse_args(argv).id
+    recipe = _recipe(argv, prog, "Print what can be changed of an id.")
+    if recipe is None:
+        return 2
     from agym_jax.changes import settings_table, settings_tables
 
-    recipe = _recipe(name)
-    if recipe is None:
-        return 1
     for title, settings in settings_tables(recipe.task).items():
         print(f"{title}\n\n{settings_table(settings)}\n")
     return 0
 
 
-def _recipe(name: str) -> Recipe | None:
-    """What an id stands for; None if there is no such, which is said."""
+def _recipe(argv: Sequence[str] | None, prog: str, description: str) -> Recipe | None:
+    """What the id among command-line words stands for; None if there is no such, which is said."""
+    parser = argparse.ArgumentParser(prog=prog, description=description)
+    parser.add_argument("id", help="environment id, such as ScratchItchJaco-v0")
+    name = parser.parse_args(argv).id
     from agym_jax.registry import parse
 
     try:
         return parse(name)
     except AgymError as error:
-        print(error, file=sys.stderr)
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return None
 
 

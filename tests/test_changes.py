@@ -116,7 +116,7 @@ def test_the_command_prints_settings(capsys):
     said = capsys.readouterr().out
     assert "| `reached` | `0.03` | m | distance from hand to mouth that is a success |" in said
     assert "| `sizes` | `'ag'` |" in said and "| `episode_length` | `200` |" in said
-    assert main(["settings", "ReachingJako-v0"]) == 1
+    assert main(["settings", "ReachingJako-v0"]) == 2
     assert "ReachingJaco-v0" in capsys.readouterr().err
 
 

@@ -108,7 +108,7 @@ def test_observe_refuses_nonsense(capsys: pytest.CaptureFixture):
     with pytest.raises(SystemExit, match="2"):
         cli.main(["observe"])
     assert "usage" in capsys.readouterr().err
-    assert cli.main(["observe", "ScratchIchJaco-v0"]) == 1
+    assert cli.main(["observe", "ScratchIchJaco-v0"]) == 2
     assert "Did you mean 'ScratchItchJaco-v0'" in capsys.readouterr().err
 
 

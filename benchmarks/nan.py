@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
+from agym_jax.flags import Count
 from benchmarks.keep import keep
 from benchmarks.rollout import CHUNK, first_state, make_batch, random_steps, zero_totals
-from train.flags import Count
 
 FORCES = ("force/on_human", "force/tool")
 LOWEST, DECADES, PER_DECADE = 1e-3, 8, 400  # bins of 0.6 % from 1 mN on

@@ -25,6 +25,7 @@ import tyro
 from rich.progress import track
 
 import agym_jax
+from agym_jax.flags import Count
 from agym_jax.human import pose
 from agym_jax.human.body import RIGHT_ARM_LINKS
 from agym_jax.offline import kinematics
@@ -32,7 +33,6 @@ from agym_jax.sim.scene import compose
 from agym_jax.sim.validate import COLLISION
 from agym_jax.spec import Pose
 from benchmarks.keep import keep
-from train.flags import Count
 
 DEEPEST = 0.004  # [m] that skin may yield
 NEAR = 0.005  # [m] of remaining distance at which inverse kinematics has arrived

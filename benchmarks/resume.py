@@ -20,10 +20,10 @@ from typing import Any
 
 import tyro
 
+from agym_jax.flags import Count
 from agym_jax.policy.check import train_command
 from benchmarks.child import ChildError
 from benchmarks.keep import keep
-from train.flags import Count
 from train.runs.folder import RunFolder
 
 LATEST = 0.1  # share of the curve that says how a run ends

@@ -21,8 +21,8 @@ import tyro
 
 from agym_jax.data.assets import asset_root
 from agym_jax.errors import UnknownNameError
+from agym_jax.flags import Count
 from benchmarks.markdown import Line, read_results
-from train.flags import Count
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,13 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
+from agym_jax.flags import Count
 
 from .envs import make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.seed_scores import SeedScores, score_seeds
 from .evaluation.statistics import improvement_interval, probability_of_improvement
-from .flags import Count
 from .runs.record import append_record, record
 from .select import load_seeds
 

@@ -15,8 +15,9 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import tyro
 
+from agym_jax.flags import Count, EnvFlags, env_name_in, task_config
+
 from .errors import ConfigError, check_save_dir
-from .flags import Count, EnvFlags, env_name_in, task_config
 from .task_changes import CPU_CHANGES, TASK_CHANGES
 
 POSITIVE = ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling")

@@ -17,6 +17,7 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
+from agym_jax.flags import Count
 from agym_jax.policy.agents import BASELINES, Baseline, Pair, parts
 from agym_jax.policy.check import check_policy, settings_for
 from agym_jax.policy.files import find_policy, load_agent, run_file
@@ -27,7 +28,6 @@ from .envs import changed, make_env, refuse_static_human
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
-from .flags import Count
 from .runs.record import append_record, record
 
 STILL = "(holds still)"

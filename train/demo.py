@@ -24,6 +24,7 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
+from agym_jax.flags import Count
 from agym_jax.policy.agents import baseline_policy
 from agym_jax.policy.files import PolicyFiles, find_policy, load_policies
 
@@ -33,7 +34,6 @@ from .envs import make_env
 from .errors import reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
-from .flags import Count
 from .learning.rollout import FORCE_KEY
 from .ppo import OnLog, train
 from .runs.progress import for_terminal

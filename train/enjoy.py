@@ -20,6 +20,7 @@ import jax
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
+from agym_jax.flags import Count, EnvFlags, parse_flags
 from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.rendering.meshes import check_visuals
@@ -28,7 +29,6 @@ from agym_jax.sim.pictures import check_camera
 
 from .envs import jit_functions, make_env
 from .errors import ConfigError, reports_errors
-from .flags import Count, EnvFlags, parse_flags
 from .learning.rollout import FORCE_KEY
 
 SHEET_PICTURES = 20

@@ -16,6 +16,7 @@ import jax
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
+from agym_jax.flags import Count, EnvFlags, parse_flags
 from agym_jax.policy.agents import AnyPolicy, baseline_policy
 from agym_jax.policy.files import find_policies, load_policies
 
@@ -23,7 +24,6 @@ from .envs import changed, make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
-from .flags import Count, EnvFlags, parse_flags
 from .runs.record import append_record, record
 
 

@@ -25,6 +25,7 @@ from agym_jax.errors import (
     PolicyLayoutError,
     PolicyNotFoundError,
 )
+from agym_jax.flags import Count
 from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.files import FILE_NAMES, find_policies, load_policies, load_policy
 from agym_jax.policy.policy import read_policy
@@ -34,7 +35,6 @@ from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
 from .evaluation.seed_scores import SeedScores, score_seeds
-from .flags import Count
 from .runs.record import append_record, record
 
 CHOSEN = (

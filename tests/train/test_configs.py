@@ -7,6 +7,7 @@ import dataclasses
 
 import pytest
 
+from agym_jax.flags import env_name_in, parse_count
 from train.configs import (
     TASK_CHANGES,
     CoopConfig,
@@ -16,7 +17,6 @@ from train.configs import (
     resolve,
 )
 from train.errors import ConfigError
-from train.flags import env_name_in, parse_count
 
 
 @pytest.mark.parametrize(

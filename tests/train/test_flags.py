@@ -10,6 +10,7 @@ import pytest
 from fake_env import FakeEnv
 
 from agym_jax import Population
+from agym_jax.flags import EnvFlags, parse_flags
 from agym_jax.policy.policy import read_policy
 from agym_jax.tasks.scratch_itch import Config
 from train import evaluate, ppo, select
@@ -17,7 +18,6 @@ from train.configs import PPOConfig, config_for, parse_arguments
 from train.enjoy import EnjoyConfig
 from train.errors import CheckpointMismatchError
 from train.evaluate import EvaluateConfig
-from train.flags import EnvFlags, parse_flags
 from train.sweep import SweepConfig
 
 WORDS = (

@@ -24,12 +24,12 @@ from jax.sharding import Mesh
 from agym_jax.compat.warp_kernels import kernels_in_background
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
+from agym_jax.flags import made_of
 from agym_jax.interrupts import INTERRUPTED, deferred, raise_again
 
 from ..configs import Config, LearnConfig, parse_arguments, resolve, updates_in
 from ..envs import is_native, make_env, vectorize
 from ..errors import ConfigError
-from ..flags import made_of
 from ..learning.agents import Agents
 from ..learning.execution import STEPWISE, StepwiseEnv, compile_together, execution_of
 from ..learning.hosts import check_agreement, join_hosts, wait_for_hosts

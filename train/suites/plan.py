@@ -10,9 +10,9 @@ import tyro
 
 import agym_jax
 from agym_jax.errors import UnknownNameError, checked_count
+from agym_jax.flags import Count
 
 from ..errors import ConfigError, check_save_dir
-from ..flags import Count
 
 
 @dataclass(frozen=True)

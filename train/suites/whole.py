@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from agym_jax.flags import parse_count
+
 from ..configs import config_for
-from ..flags import parse_count
 from ..runs.overview import read_rows, selection_of
 from ..runs.progress import duration
 from .plan import SuiteConfig, steps_of

@@ -13,12 +13,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
-import tyro
-
-from agym_jax.errors import UnknownNameError
+from agym_jax.errors import MissingExtraError, UnknownNameError
 from agym_jax.human.population import Population
 from agym_jax.registry import parse
 from agym_jax.variation import RobotVariation
+
+try:
+    import tyro
+except ImportError as error:
+    raise MissingExtraError(
+        'Command lines need tyro: pip install "agym_jax[train]", or for the viewer "agym_jax[view]"'
+    ) from error
 
 
 def parse_count(text: str) -> int:

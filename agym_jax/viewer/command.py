@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import importlib.util
 import socket
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +19,10 @@ from agym_jax.errors import (
     PolicyNotFoundError,
     checked_count,
 )
+from agym_jax.flags import Count, EnvFlags, parse_flags
 
 if TYPE_CHECKING:
+    from agym_jax.policy.agents import AnyPolicy
     from agym_jax.policy.files import PolicyFiles
     from agym_jax.viewer.picture import Picture
     from agym_jax.viewer.stage import Stage
@@ -29,30 +31,37 @@ Say = Callable[[str], None]
 MOST = 64  # environments side by side
 
 
-def parser(prog: str) -> argparse.ArgumentParser:
-    """The flags."""
-    out = argparse.ArgumentParser(
-        prog=prog, description="Watch an episode in the browser, drive it by hand, or keep it as a page."
-    )  # fmt: skip
-    out.add_argument("id", help="environment id, such as ScratchItchJaco-v0")
-    out.add_argument(
-        "--policy", help="a policy file, or zero or random; without it the shipped one"
-    )
-    out.add_argument("--human-policy", help="the same for a person who acts")
-    out.add_argument("--load-dir", help="--save-dir of a training run, whose policy is meant")
-    out.add_argument("--seed", type=int, default=1001, help="of the first episode (1001)")
-    out.add_argument("--grid", type=int, default=1, metavar="N", help="people side by side (1)")
-    out.add_argument("--visuals", default="primitives", help="of the robot: primitives or meshes")
-    out.add_argument("--host", default="127.0.0.1", help="address to serve at (127.0.0.1)")
-    out.add_argument("--port", type=int, default=8080, help="port to serve at (8080)")
-    out.add_argument(
-        "--export", type=Path, metavar="PAGE", help="write an episode as a page, .html"
-    )
-    out.add_argument("--steps", type=int, help="with --export: control steps, if not all")
-    return out
+@dataclass(frozen=True)
+class ViewConfig(EnvFlags):
+    """Flags of ``agym-jax view``."""
+
+    load_dir: str | None = None
+    """--save-dir of a training run, whose policy is meant; without it and --policy, the one shipped with agym_jax."""
+    policy: str | None = None
+    """A policy file, or "zero" or "random"; the robot's, where there is one for each agent."""
+    human_policy: str | None = None
+    """The same for a person who acts; without it, the one that lies beside the robot's."""
+    seed: int = 1001
+    """Seed of the first episode; the next ones have the seeds after it."""
+    non_det: bool = False
+    """Sample actions instead of taking the mode."""
+    any_env: bool = False
+    """Accept a policy of another environment with the same observation layout, or of other settings of this one."""
+    grid: Count = 1
+    """Episodes side by side."""
+    visuals: str = "primitives"
+    """What the robot looks like: "primitives", or "meshes" of other packages (agym_jax[meshes])."""
+    host: str = "127.0.0.1"
+    """Address to serve at."""
+    port: int = 8080
+    """Port to serve at; 0 = any that is free."""
+    export: Path | None = None
+    """Page to write instead, .html: an episode that opens without a server."""
+    steps: Count | None = None
+    """With --export: control steps; without it, the whole episode."""
 
 
-def check(config: argparse.Namespace) -> None:
+def check(config: ViewConfig) -> None:
     """Refuse what cannot be shown, before anything is built.
 
     Raises:
@@ -67,7 +76,7 @@ def check(config: argparse.Namespace) -> None:
 
     if not importlib.util.find_spec("viser"):
         raise MissingExtraError('The viewer needs viser: pip install "agym_jax[view]"')
-    recipe = parse(config.id)
+    recipe = parse(config.env_name)
     check_visuals(config.visuals, recipe.robot)
     checked_count("--grid", config.grid)
     if config.grid > MOST:
@@ -106,20 +115,22 @@ def check_port(host: str, port: int) -> None:
 
 
 def main(argv: Sequence[str] | None = None, prog: str = "agym-jax view") -> int:
-    """The command line; returns the exit status."""
-    config = parser(prog).parse_args(argv)
+    """The command line, with the id as ``--env-name`` or as the first word; returns the exit status."""
+    words = sys.argv[1:] if argv is None else list(argv)
+    if words and not words[0].startswith("-"):
+        words = ["--env-name", *words]
+    does = f"Watch an episode in the browser, drive it by hand, or keep it as a page: {prog} ID ..."
+    config = parse_flags(ViewConfig, words, prog, does)
     try:
         check(config)
         run(config)
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        return 130
     return 0
 
 
-def run(config: argparse.Namespace) -> None:
+def run(config: ViewConfig) -> None:
     """Serve or write the page; returns when it is written, or by a KeyboardInterrupt.
 
     Raises:
@@ -135,50 +146,52 @@ def run(config: argparse.Namespace) -> None:
     jax.config.update("jax_platforms", "cpu")  # one environment: an accelerator would be slower
     import agym_jax
     from agym_jax.policy.check import settings_for
+    from agym_jax.policy.files import load_policies
     from agym_jax.viewer.picture import Picture
     from agym_jax.viewer.serve import close_server, open_server
 
-    files = policy_files(config, say)
-    settings = settings_for(files.robot, config.id) if files else {}
-    env = agym_jax.make(config.id, impl="native", **settings)
+    files, settings = policy_files(config, say), config.options()
+    if files and not settings:  # as the policy was trained, unless somebody says otherwise
+        settings = settings_for(files.robot, config.env_name)
+    env = agym_jax.make(config.env_name, impl="native", **settings)
+    policy = load_policies(files, env, config.any_env) if files else None
     server = open_server(env.name, config.host, 0 if config.export else config.port)
     try:
-        (export if config.export else serve)(config, env, files, Picture(server), say)
+        picture = Picture(server)
+        if config.export is None:
+            serve(config, env, policy, picture, say)
+        else:
+            export(config, config.export, env, policy, picture, say)
     finally:
         close_server(server)
 
 
-def begin(config: argparse.Namespace, env: Any, files: PolicyFiles | None, say: Say) -> Stage:
-    """The environments, in which an episode begins.
-
-    Raises:
-        AgymError: a policy that does not fit.
-    """
-    from agym_jax.policy.files import load_policies
+def begin(config: ViewConfig, env: Any, policy: AnyPolicy | None, say: Say) -> Stage:
+    """The environments, in which an episode begins."""
     from agym_jax.viewer.drive import Driver
     from agym_jax.viewer.stage import Stage
 
-    policy = load_policies(files, env) if files else None
     say("Preparing the first episode; what was never shown here is compiled first.")
-    stage = Stage(env, Driver(env, policy), config.grid, config.visuals)
+    driver = Driver(env, policy, deterministic=not config.non_det)
+    stage = Stage(env, driver, config.grid, config.visuals)
     stage.begin(config.seed)
     return stage
 
 
 def export(
-    config: argparse.Namespace, env: Any, files: PolicyFiles | None, picture: Picture, say: Say
+    config: ViewConfig, file: Path, env: Any, policy: AnyPolicy | None, picture: Picture, say: Say
 ) -> None:
     """Write an episode as a page."""
     from agym_jax.viewer.replay import write_replay
 
-    stage = begin(config, env, files, say)
+    stage = begin(config, env, policy, say)
     say(f"Playing {config.steps or env.episode_length} steps.")
-    size = write_replay(stage, picture, config.steps, config.export)
-    say(f"Page: {config.export} ({size / 1e6:.1f} MB); it opens without a server.")
+    size = write_replay(stage, picture, config.steps, file)
+    say(f"Page: {file} ({size / 1e6:.1f} MB); it opens without a server.")
 
 
 def serve(
-    config: argparse.Namespace, env: Any, files: PolicyFiles | None, picture: Picture, say: Say
+    config: ViewConfig, env: Any, policy: AnyPolicy | None, picture: Picture, say: Say
 ) -> None:
     """Serve the page until a KeyboardInterrupt."""
     from agym_jax.viewer.page import PANEL, Page
@@ -190,14 +203,14 @@ def serve(
     picture.aim("front", PANEL)
     note = server.gui.add_markdown("Preparing the first episode ...")
     say(f"Serving at http://{config.host}:{server.get_port()} (Ctrl+C ends it).")
-    stage = begin(config, env, files, say)
+    stage = begin(config, env, policy, say)
     note.remove()
     page = Page(stage, picture)
     say("Ready.")
     page.run()
 
 
-def policy_files(config: argparse.Namespace, say: Say) -> PolicyFiles | None:
+def policy_files(config: ViewConfig, say: Say) -> PolicyFiles | None:
     """Whose policies drive; None if none was asked for and none is shipped.
 
     A robot's policy for a person who holds still serves where the person acts, who then does nothing.
@@ -205,19 +218,24 @@ def policy_files(config: argparse.Namespace, say: Say) -> PolicyFiles | None:
     Raises:
         AgymError: one that was asked for does not exist.
     """
+    from agym_jax.policy.agents import BASELINES
     from agym_jax.policy.files import PolicyFiles, find_policies
+    from agym_jax.policy.policy import read_policy
     from agym_jax.registry import parse, static_id
 
-    recipe = parse(config.id)
+    recipe = parse(config.env_name)
     name, still = recipe.name, static_id(recipe.name)
     asked = config.policy or config.load_dir or config.human_policy
     try:
         files = find_policies(name, config.load_dir, config.policy, config.human_policy)
-        alone = recipe.active and files.human is None and config.policy
-        return PolicyFiles(files.robot, "zero") if alone else files
     except PolicyNotFoundError:
         if asked:
             raise
+    else:
+        if not recipe.active or files.human or files.robot in BASELINES:
+            return files
+        alone = read_policy(files.robot).info.get("agent", "robot") == "robot"
+        return PolicyFiles(files.robot, "zero") if alone else files
     if recipe.active:
         with contextlib.suppress(PolicyNotFoundError):
             files = PolicyFiles(find_policies(still).robot, "zero")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -85,7 +86,9 @@ class Driver:
         self.joints = joints_of(self.env)
         self._scale = self.env.controller.control.action_scale
         self._random = np.random.default_rng(0)
-        self._act = jax.jit(lambda policy, obs, key: policy(obs, key, self.deterministic))
+        self._keys: Iterator[np.ndarray] = iter(())
+        act = lambda policy, obs, key: policy(obs, key, self.deterministic)  # noqa: E731
+        self._act = jax.jit(jax.vmap(act, in_axes=(None, 0, 0)))
         for agent in self.joints:
             self.modes.setdefault(agent, self.choices(agent)[0])
 
@@ -94,10 +97,16 @@ class Driver:
         by_hand = [JOINTS, TOOL] if agent == "robot" else [JOINTS]
         return [*([POLICY] if self.policy else []), ZERO, RANDOM, *by_hand]
 
-    def begin(self, seed: int) -> None:
-        """An episode begins: what is random follows from its seed, and nobody asks for anything."""
+    def begin(self, seed: int, keys: np.ndarray) -> None:
+        """An episode begins: nobody asks for anything.
+
+        Args:
+            seed: of what the mode ``RANDOM`` does.
+            keys: of what the policy samples, one for each environment (n, 2).
+        """
         self._random = np.random.default_rng(seed)
-        self._key = jax.random.split(jax.random.PRNGKey(seed))[1]
+        split = jax.vmap(lambda key: jax.random.split(key, self.env.episode_length), out_axes=1)
+        self._keys = iter(np.asarray(split(keys)))
         self.targets.clear()
         self.goal = None
 
@@ -108,12 +117,11 @@ class Driver:
             states: of all environments (n, ...).
             arm: the robot's in the first of them.
         """
-        obs = np.asarray(states.obs)
+        obs, keys = np.asarray(states.obs), next(self._keys)
         actions = np.zeros((len(obs), self.env.action_size), np.float32)
         chosen = actions
         if POLICY in self.modes.values():
-            self._key, key = jax.random.split(self._key)
-            chosen = np.asarray(self._act(self.policy, obs, key))
+            chosen = np.asarray(self._act(self.policy, obs, keys))
         for agent, joints in self.joints.items():
             mode, part = self.modes[agent], actions[:, joints.acted]
             q = np.asarray(states.data.qpos)[:, joints.qpos]

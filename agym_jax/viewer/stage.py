@@ -85,15 +85,12 @@ class Stage:
     def begin(self, seed: int) -> None:
         """Begin the episodes of a seed and those after it, as ``agym-jax enjoy`` plays them."""
         self.seed, self.history = seed, History()
-        self.driver.begin(seed)
+        pairs = [jax.random.split(jax.random.PRNGKey(seed + i)) for i in range(self.count)]
+        keys, acting = np.swapaxes(np.array(pairs), 0, 1)
+        self.driver.begin(seed, acting)
         self.env.native_rows.revise = self.wishes.of(self.env.task.human)
-        keys = [
-            np.asarray(jax.random.split(jax.random.PRNGKey(seed + i))[0]) for i in range(self.count)
-        ]
         rows = self.env.native_rows
-        self.states = State(
-            info={}, **self._together(lambda s, p: rows.reset(s, np.stack(keys[p])))
-        )
+        self.states = State(info={}, **self._together(lambda s, p: rows.reset(s, keys[p])))
         self.forces.forces = None
         self.arm = ToolReach(self.env, self.model(0))
         if self._drawn is None:

@@ -13,6 +13,7 @@ from agym_jax import Population
 from agym_jax.flags import EnvFlags, parse_flags
 from agym_jax.policy.policy import read_policy
 from agym_jax.tasks.scratch_itch import Config
+from agym_jax.viewer.command import ViewConfig
 from train import evaluate, ppo, select
 from train.configs import PPOConfig, config_for, parse_arguments
 from train.enjoy import EnjoyConfig
@@ -45,7 +46,7 @@ def make(name: str, impl: str, episode_length: int = 20, **options: Any) -> Chan
     return env
 
 
-@pytest.mark.parametrize("kind", [PPOConfig, EvaluateConfig, EnjoyConfig, SweepConfig])
+@pytest.mark.parametrize("kind", [PPOConfig, EvaluateConfig, EnjoyConfig, SweepConfig, ViewConfig])
 def test_flags_become_the_arguments_of_make(kind):
     config = parse_flags(kind, WORDS.split(), "x")
     assert config.options() == OPTIONS

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import socket
 from pathlib import Path
@@ -15,6 +16,8 @@ import pytest
 
 import agym_jax
 from agym_jax.human.population import Human
+from agym_jax.policy import load_policy, save_policy
+from agym_jax.policy.agents import baseline_policy
 from agym_jax.viewer import command, shapes
 from agym_jax.viewer.drive import JOINTS, TOOL, ZERO, Driver, ToolGoal, ToolReach
 from agym_jax.viewer.moments import Moment
@@ -182,6 +185,41 @@ def test_a_typical_person_can_be_shown_before_anything_is_compiled(name: str):
     assert np.all(high - low < 6.0) and high[2] > 0.8
 
 
+def shown(monkeypatch, *words: str) -> Any:
+    """The environment that a command line shows."""
+    found = []
+    monkeypatch.setattr(command, "serve", lambda _, env, *__: found.append(env))
+    status = command.main([*words, "--port", "0"])
+    return found[0] if status == 0 else None
+
+
+@pytest.mark.parametrize("words", [[ID], ["--env-name", ID]])
+def test_settings_of_the_command_line_are_those_of_enjoy(words, monkeypatch, capsys):
+    asked = [*words, "--task.scratch", "3", "--episode-length", "50"]
+    assert shown(monkeypatch, *asked) is None
+    told = capsys.readouterr().err  # the policy that ships was trained without
+    assert "task.scratch" in told and "--any-env" in told
+    env = shown(monkeypatch, *asked, "--any-env")
+    assert env.changes == {"task.scratch": 3.0, "episode_length": 50}
+
+
+def test_without_settings_they_are_those_of_the_policy(tmp_path: Path, monkeypatch):
+    policy = load_policy(ID)
+    info = {**policy.info, "changes": {"episode_length": 50}}
+    save_policy(tmp_path / "mine.npz", dataclasses.replace(policy, info=info))
+    assert shown(monkeypatch, ID, "--policy", str(tmp_path / "mine.npz")).episode_length == 50
+
+
+def test_policies_sample_as_in_enjoy(stage: Stage):
+    act = baseline_policy("random", stage.env.action_size)
+    driver = Driver(stage.env, act, deterministic=False)
+    keys = jax.random.split(jax.random.PRNGKey(7))[1]
+    driver.begin(7, np.asarray(keys)[None])
+    for key in jax.random.split(keys, stage.env.episode_length)[:2]:
+        found = driver.action(stage.states, stage.arm)
+        np.testing.assert_allclose(found, act(stage.states.obs[:1], key), atol=1e-6)
+
+
 # -- what is refused -------------------------------------------------------------------------------
 
 BAD = {
@@ -227,8 +265,18 @@ def test_a_port_that_is_in_use_is_told_with_another(capsys: pytest.CaptureFixtur
 )  # fmt: skip
 def test_without_a_policy_something_else_drives(name: str, said: str):
     told = []
-    command.policy_files(command.parser("view").parse_args([name]), told.append)
+    command.policy_files(command.ViewConfig(env_name=name), told.append)
     assert said in "".join(told)
+
+
+def test_one_policy_for_robot_and_person_drives_both(tmp_path: Path):
+    policy = load_policy(ID)
+    for agent, human in (("robot", "zero"), ("joint", None)):
+        file = tmp_path / f"{agent}.npz"
+        save_policy(file, dataclasses.replace(policy, info={**policy.info, "agent": agent}))
+        config = command.ViewConfig(env_name="ScratchItchJacoHuman-v0", policy=str(file))
+        found = command.policy_files(config, print)
+        assert found is not None and found.human == human
 
 
 def test_without_viser_the_extra_is_named(monkeypatch, capsys: pytest.CaptureFixture):

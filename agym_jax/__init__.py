@@ -88,12 +88,14 @@ def load_policy(source: str | Path, env: Env | None = None) -> Policy | Pair:
     Args:
         source: an environment id, whose shipped policy is meant: the robot's, or for ``...Human-v0``
             the pair of robot and person; or the path of a policy file or of a training run's folder.
-        env: environment that it must fit; None skips that check.
+        env: environment that it must fit; its people and length of episodes may be others than in training. None skips
+            that check.
 
     Raises:
         PolicyNotFoundError: there is none; the message has the nearest, and how to train one.
         PolicyDamagedError: the file is not whole, or no policy.
-        PolicyEnvironmentError: it was trained for another task, robot or agent than ``env``'s.
+        PolicyEnvironmentError: it was trained for another task, robot or agent than ``env``'s, or with other weights,
+            thresholds or variations of the robot.
         PolicyLayoutError: it reads another observation than ``env``'s.
     """
     from agym_jax.policy import load_policy as load

@@ -24,6 +24,8 @@ from agym_jax.variation import RobotVariation
 Changes = dict[str, Any]
 """Name, such as ``"task.scratch"`` or ``"humans.sizes"`` -> value that JSON can keep. Empty: as the id says."""
 LENGTH = "episode_length"
+CIRCUMSTANCES = ("humans.", LENGTH)
+"""Beginnings of the names of changes that leave to a policy what its observations, actions and aims mean."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,11 @@ def describe(theirs: Changes, ours: Changes, whose: str = "there") -> str:
         for name in sorted({*theirs, *ours})
         if theirs.get(name) != ours.get(name)
     )
+
+
+def essential(changes: Changes) -> Changes:
+    """Those without ``CIRCUMSTANCES``: of robot, weights and thresholds."""
+    return {name: x for name, x in changes.items() if not name.startswith(CIRCUMSTANCES)}
 
 
 def flags_of(changes: Changes) -> str:

@@ -19,6 +19,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from agym_jax.changes import flags_of
 from agym_jax.data.npz import write_file
 from agym_jax.errors import AgymError
 from agym_jax.policy.files import FILE_NAMES
@@ -74,13 +75,18 @@ def find(config: CollectConfig) -> list[Found]:
     """The runs of a folder that have a choice among their seeds.
 
     Raises:
-        CollectError: there are none, or nobody knows with which commit they were made.
+        CollectError: there are none, one has other settings than its id, or nobody knows with which commit they were made.
     """
     found = []
     folders = [path for folder in config.runs for path in folder.glob("*-v0") if path.is_dir()]
     for run in sorted(folders, key=lambda path: path.name):
         choice, training = selection_of(run), training_summary(run)
         if choice and training and (not config.only or any(x in run.name for x in config.only)):
+            if changes := choice.get("changes"):
+                raise CollectError(
+                    f"{run} was trained with other settings than its id's ({flags_of(changes)}). Tables and what ships are of "
+                    f"the ids as they are. Take it out of the folder, or name the others with --only."
+                )
             commit = choice["commit"] or _known_commit(choice) or config.commit
             if not commit:
                 raise CollectError(

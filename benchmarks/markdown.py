@@ -22,7 +22,7 @@ Line = dict[str, Any]
 
 
 def read_results(name: str, keys: Sequence[str], folder: Path = RESULTS) -> list[Line]:
-    """Result lines of one kind, the newest of each configuration.
+    """Result lines of one kind, the newest of each configuration. Those of other settings than the ids' are left out.
 
     Args:
         name: file without suffix.
@@ -33,7 +33,7 @@ def read_results(name: str, keys: Sequence[str], folder: Path = RESULTS) -> list
     text = path.read_text() if path.is_file() else ""
     newest: dict[tuple, Line] = {}
     for line in (json.loads(row) for row in text.splitlines() if row.strip()):
-        if not line.get("overflow"):
+        if not any(line.get(x) for x in ("overflow", "changes", "other_than_in_training")):
             configuration = tuple(line.get(key) for key in keys)
             newest.pop(configuration, None)
             newest[configuration] = line

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import agym_jax
-from agym_jax import Population
+from agym_jax import Population, RobotVariation
 from agym_jax.__main__ import main
 from agym_jax.changes import arguments_of, change_task, flags_of, settings_of
 from agym_jax.errors import (
@@ -124,20 +124,47 @@ def test_a_policy_of_other_settings_is_refused_by_name(changed, tmp_path):
     told = "task.distance is the default there, 2.0 here"
     with pytest.raises(PolicyEnvironmentError, match=told) as error:
         agym_jax.load_policy(NAME, changed)
-    assert "episode_length is the default there, 3 here" in str(error.value)
-    assert "--any-env" in str(error.value)
+    assert "humans" not in str(error.value) and "--any-env" in str(error.value)
     from agym_jax.policy import check_policy, save_policy
     from agym_jax.policy.check import settings_for
 
     policy = agym_jax.load_policy(NAME)
+    with pytest.raises(PolicyEnvironmentError, match="episode_length is the default there, 3 here"):
+        check_policy(policy, changed, NAME)
     check_policy(policy, changed, NAME, any_env=True)
     trained = dataclasses.replace(policy, info={**policy.info, "changes": changed.changes})
     path = save_policy(tmp_path / "policy.npz", trained)
     assert agym_jax.load_policy(path, changed).info["changes"] == changed.changes
     assert settings_for(path, "ReachingJacoHuman-v0") == arguments_of(changed.changes)
     assert settings_for(path, "ReachingPR2-v0") == {} and settings_for("zero", NAME) == {}
-    with pytest.raises(PolicyEnvironmentError, match=r"--episode-length 3 .*--task.distance 2.0"):
-        agym_jax.load_policy(path, agym_jax.make(NAME, impl="native"))
+    usual = agym_jax.make(NAME, impl="native")
+    with pytest.raises(PolicyEnvironmentError, match=r"--task.distance 2.0 .*velocity 0.5\)"):
+        agym_jax.load_policy(path, usual)
+    with pytest.raises(PolicyEnvironmentError, match=r"--episode-length 3 --humans.sizes"):
+        check_policy(trained, usual, path)
+
+
+def test_a_policy_meets_other_people_for_other_lengths():
+    """Training does not go on with them, which is what ``check_policy`` asks for unless it is told otherwise."""
+    from agym_jax.policy import check_policy
+    from agym_jax.policy.agents import Pair, baseline_policy
+    from agym_jax.policy.check import trained_otherwise
+
+    env = agym_jax.make(
+        NAME, impl="native", humans=Population(impairments=("tremor",)), episode_length=50
+    )
+    policy = agym_jax.load_policy(NAME, env)
+    with pytest.raises(PolicyEnvironmentError, match=r"humans.impairments is the default there"):
+        check_policy(policy, env, NAME)
+    said = "episode_length is the default in training, 50 here; humans.impairments is the default in training, ['tremor'] here"
+    assert trained_otherwise(policy, env) == said
+    zero = baseline_policy("zero", 7)
+    assert trained_otherwise(Pair(policy, zero, 21), env) == said
+    assert trained_otherwise(zero, env) == ""
+    assert trained_otherwise(policy, agym_jax.make(NAME, impl="native")) == ""
+    varied = agym_jax.make(NAME, impl="native", robot=RobotVariation(latency=(0, 1)))
+    with pytest.raises(PolicyEnvironmentError, match=r"robot.latency is the default there"):
+        agym_jax.load_policy(NAME, varied)
 
 
 @pytest.mark.jit

@@ -22,6 +22,7 @@ from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
 from agym_jax.flags import Count, EnvFlags, parse_flags
 from agym_jax.policy.agents import AnyPolicy
+from agym_jax.policy.check import trained_otherwise
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.rendering.meshes import check_visuals
 from agym_jax.rendering.render import check_backend
@@ -53,7 +54,8 @@ class EnjoyConfig(EnvFlags):
     non_det: bool = False
     """Sample actions instead of taking the mode."""
     any_env: bool = False
-    """Accept a policy of another environment with the same observation layout, or of other settings of this one."""
+    """Accept a policy of another environment with the same observation layout, or of other settings of this one.
+    Other people and episode lengths need no flag."""
     impl: str = "native"
     """Physics: "native" (C MuJoCo, quick to start) or "jax" (MJX, as in training)."""
     clip: Path | None = None
@@ -252,7 +254,10 @@ def main(
     files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
     if config.visuals != "primitives":  # before anything is compiled
         check_visuals(config.visuals, env.robot)
-    play(config, env, load_policies(files, env, config.any_env))
+    policy = load_policies(files, env, config.any_env, other_people=True)
+    if otherwise := trained_otherwise(policy, env):
+        print(f"Other than in training: {otherwise}.")
+    play(config, env, policy)
     return 0
 
 

@@ -18,6 +18,7 @@ from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
 from agym_jax.flags import Count, EnvFlags, parse_flags
 from agym_jax.policy.agents import AnyPolicy, baseline_policy
+from agym_jax.policy.check import trained_otherwise
 from agym_jax.policy.files import find_policies, load_policies
 
 from .envs import changed, make_env
@@ -76,7 +77,8 @@ class EvaluateConfig(EnvFlags):
     impl: str = "auto"
     """Physics: "jax", "warp", "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU where it is installed."""
     any_env: bool = False
-    """Accept a policy of another environment with the same observation layout, or of other settings of this one."""
+    """Accept a policy of another environment with the same observation layout, or of other settings of this one.
+    Other people and episode lengths need no flag."""
     json: str | None = None
     """File to which the result is added as a JSON line."""
 
@@ -99,10 +101,12 @@ def main(
         config.env_name, config.impl, **config.options()
     )  # first: it knows which ids there are
     files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
-    policy = load_policies(files, env, config.any_env)
+    policy = load_policies(files, env, config.any_env, other_people=True)
     result = evaluate(
         env, policy, config.num_episodes, config.seed, deterministic=not config.non_det
     )
+    if otherwise := trained_otherwise(policy, env):
+        print(f"Other than in training: {otherwise}.")
     print(result.table())
     if config.json:
         trained = dict(policy.info)
@@ -113,6 +117,7 @@ def main(
             **human,
             policy_commit=trained.get("commit"),
             policy_env_steps=trained.get("env_steps"),
+            **({"other_than_in_training": otherwise} if otherwise else {}),
             seed=config.seed,
             deterministic=not config.non_det,
             impl=str(getattr(env, "impl", config.impl)),

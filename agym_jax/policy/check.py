@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from agym_jax.changes import arguments_of, describe, flags_of
+from agym_jax.changes import arguments_of, describe, essential, flags_of
 from agym_jax.errors import PolicyEnvironmentError, PolicyLayoutError
-from agym_jax.policy.agents import BASELINES, parts
+from agym_jax.policy.agents import BASELINES, AnyPolicy, Pair, parts
 from agym_jax.policy.policy import Policy, read_policy
 from agym_jax.registry import active_id, static_id
 
@@ -48,6 +48,7 @@ def check_policy(
     path: Path | str,
     any_env: bool = False,
     agent: str | None = None,
+    other_people: bool = False,
 ) -> None:
     """Make sure that a policy fits an environment.
 
@@ -58,10 +59,11 @@ def check_policy(
         any_env: accept a policy of another environment, or one with other settings, whose observation layout and
             action size agree.
         agent: whom it shall move: "robot", "human", or "joint" for both; None = all who act.
+        other_people: accept one that was trained with other people or another length of episodes, to see how it does here.
 
     Raises:
         PolicyEnvironmentError: trained for another task, robot or agent (a robot's policy fits the
-            still and the active person of its pair), or with other settings, people or length of episodes.
+            still and the active person of its pair), or with other settings.
         PolicyLayoutError: reads another observation layout, or has other sizes.
     """
     agents = parts(env)
@@ -85,12 +87,14 @@ def check_policy(
             f"{train_command(env.name)}"
         )
     theirs_changed, ours_changed = policy.info.get("changes", {}), getattr(env, "changes", {})
+    if other_people:
+        theirs_changed, ours_changed = essential(theirs_changed), essential(ours_changed)
     if not any_env and (differ := describe(theirs_changed, ours_changed)):
         flags = flags_of(theirs_changed)
         remedy = f"Make the environment as it was there ({flags})" if flags else "Leave them out"
         raise PolicyEnvironmentError(
-            f"{path} was trained in {trained_in!r} with other settings: {differ}. {remedy}, or run the policy here all "
-            f"the same: --any-env, or load_policy without env."
+            f"{path} was trained in {trained_in!r} with other settings: {differ}. {remedy}. To run the policy here all "
+            f"the same: agym-jax evaluate or enjoy with --any-env, or load_policy without env."
         )
     layout = policy.info.get("layout")
     if layout not in (part.layout, part.former_layout):
@@ -107,3 +111,20 @@ def check_policy(
             f"{path} takes {theirs[0]} observations and gives {theirs[1]} actions; {env.name!r} "
             f"has {ours[0]} and {ours[1]}."
         )
+
+
+def trained_otherwise(policy: AnyPolicy, env: Any) -> str:
+    """In what an environment is other than a policy's training, in words; empty if in nothing.
+
+    Args:
+        policy: or a pair of them; baselines and functions were not trained.
+        env: in which it runs.
+    """
+    policies = (policy.robot, policy.human) if isinstance(policy, Pair) else (policy,)
+    ours = getattr(env, "changes", {})
+    told = [
+        describe(x.info.get("changes", {}), ours, "in training")
+        for x in policies
+        if isinstance(x, Policy)
+    ]
+    return "; ".join(dict.fromkeys(filter(None, told)))

@@ -43,11 +43,12 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
     robot = read_policy(files.robot)
     human = None if files.human is None else read_policy(files.human)
     if env is not None:
-        check_policy(robot, env, files.robot, agent="robot" if human else None)
+        agent = "robot" if human else None
+        check_policy(robot, env, files.robot, agent=agent, other_people=True)
     if human is None:
         return robot
     if env is not None:
-        check_policy(human, env, str(files.human), agent="human")
+        check_policy(human, env, str(files.human), agent="human", other_people=True)
     return Pair(robot, human, robot.arch.observation_size)
 
 
@@ -149,7 +150,9 @@ def find_policies(
     return PolicyFiles(str(robot), human)
 
 
-def load_agent(name: Path | str, env: Any, agent: str, any_env: bool = False) -> Policy | Baseline:
+def load_agent(
+    name: Path | str, env: Any, agent: str, any_env: bool = False, other_people: bool = False
+) -> Policy | Baseline:
     """The policy of one agent: a file that fits, or a baseline.
 
     Args:
@@ -157,24 +160,28 @@ def load_agent(name: Path | str, env: Any, agent: str, any_env: bool = False) ->
         env: what it must fit.
         agent: whom it moves: "robot", "human", or "joint" for both.
         any_env: see ``check_policy``.
+        other_people: see ``check_policy``.
 
     Raises:
         PolicyNotFoundError: there is no such file.
         PolicyDamagedError: the file is not whole.
-        PolicyEnvironmentError: of another task, robot or agent.
+        PolicyEnvironmentError: of another task, robot or agent, or of other settings.
         PolicyLayoutError: it reads another observation layout, or has other sizes.
     """
     if str(name) in BASELINES:
         return baseline_policy(str(name), parts(env)[agent].sizes[1])
     policy = read_policy(name)
-    check_policy(policy, env, name, any_env, agent)
+    check_policy(policy, env, name, any_env, agent, other_people)
     return policy
 
 
-def load_policies(files: PolicyFiles, env: Any, any_env: bool = False) -> Policy | Baseline | Pair:
+def load_policies(
+    files: PolicyFiles, env: Any, any_env: bool = False, other_people: bool = False
+) -> Policy | Baseline | Pair:
     """The policies of all who act in an environment; for arguments and errors see ``load_agent``."""
     if files.human is None:
-        return load_agent(files.robot, env, "joint" if "joint" in parts(env) else "robot", any_env)
-    robot = load_agent(files.robot, env, "robot", any_env)
-    human = load_agent(files.human, env, "human", any_env)
+        agent = "joint" if "joint" in parts(env) else "robot"
+        return load_agent(files.robot, env, agent, any_env, other_people)
+    robot = load_agent(files.robot, env, "robot", any_env, other_people)
+    human = load_agent(files.human, env, "human", any_env, other_people)
     return Pair(robot, human, parts(env)["robot"].observed.stop)

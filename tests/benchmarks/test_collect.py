@@ -143,6 +143,25 @@ def test_lost_contacts_do_not_ship(runs, repository):
 
 
 @pytest.mark.slow
+def test_a_run_of_other_settings_becomes_no_result(runs, repository, capsys):
+    path, before = change(runs, ALONE, changes={"humans.sizes": "continuous"})
+    try:
+        assert collecting.main([str(runs), "--least", "0", "--commit", "abc"]) == 2
+    finally:
+        path.write_text(before)
+    assert "--humans.sizes continuous" in capsys.readouterr().err
+    assert not list((repository / "results").iterdir())
+
+
+def test_tables_leave_out_results_of_other_settings(tmp_path):
+    usual = {"env": ALONE, "success": 0.9, "overflow": 0}
+    others = [{"changes": {"episode_length": 50}}, {"other_than_in_training": "x"}]
+    rows = [usual, *(usual | {"success": 0.1} | x for x in others)]
+    (tmp_path / "evaluation.jsonl").write_text("".join(json.dumps(x) + "\n" for x in rows))
+    assert markdown.read_results("evaluation", ("env",), tmp_path) == [usual]
+
+
+@pytest.mark.slow
 def test_the_picture_is_drawn_when_what_it_shows_has_changed(runs, tmp_path, capsys):
     results, picture = tmp_path / "results", tmp_path / "curves.png"
     results.mkdir()

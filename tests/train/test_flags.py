@@ -107,7 +107,7 @@ TRAIN = [
 @pytest.mark.slow
 @pytest.mark.jit
 def test_a_run_of_other_settings_is_not_continued(tmp_path, capsys, restored_settings):
-    """And its policies are not evaluated without being asked to; ``select`` makes the environment of the run."""
+    """And its policies say so where they are evaluated otherwise; ``select`` makes the environment of the run."""
     words = [*TRAIN, str(tmp_path)]
     assert ppo.main([*words, "--episode-length", "10", "--num-seeds", "2"], make) == 0
     run = tmp_path / "FakeReach-v0"
@@ -123,13 +123,16 @@ def test_a_run_of_other_settings_is_not_continued(tmp_path, capsys, restored_set
         select.main([str(run), "--num-episodes", "2", "--impl", "jax", "--no-shipped"], make) == 0
     )
     measure = ["--env-name", "FakeReach-v0", "--load-dir", str(tmp_path), "--num-episodes", "2"]
-    assert evaluate.main(measure, make) == 2
-    assert "--episode-length 10" in capsys.readouterr().err
-    assert evaluate.main([*measure, "--any-env"], make) == 0
-    line = tmp_path / "line.jsonl"
-    asked = ["--episode-length", "10", "--json", str(line)]
-    assert evaluate.main([*measure, *asked], make) == 0
-    assert json.loads(line.read_text())["changes"] == {"episode_length": 10}
+    capsys.readouterr()
+    longer, same = tmp_path / "longer.jsonl", tmp_path / "same.jsonl"
+    assert evaluate.main([*measure, "--json", str(longer)], make) == 0
+    said = "episode_length is 10 in training, the default here"
+    assert f"Other than in training: {said}." in capsys.readouterr().out
+    assert json.loads(longer.read_text())["other_than_in_training"] == said
+    assert evaluate.main([*measure, "--episode-length", "10", "--json", str(same)], make) == 0
+    assert "in training" not in capsys.readouterr().out
+    line = json.loads(same.read_text())
+    assert line["changes"] == {"episode_length": 10} and "other_than_in_training" not in line
 
 
 def test_a_command_without_arguments_reads_those_of_its_process(monkeypatch):

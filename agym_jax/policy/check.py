@@ -94,7 +94,7 @@ def check_policy(
         remedy = f"Make the environment as it was there ({flags})" if flags else "Leave them out"
         raise PolicyEnvironmentError(
             f"{path} was trained in {trained_in!r} with other settings: {differ}. {remedy}. To run the policy here all "
-            f"the same: agym-jax evaluate or enjoy with --any-env, or load_policy without env."
+            f"the same: agym-jax evaluate, enjoy or view with --any-env, or load_policy without env."
         )
     layout = policy.info.get("layout")
     if layout not in (part.layout, part.former_layout):

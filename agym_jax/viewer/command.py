@@ -46,7 +46,8 @@ class ViewConfig(EnvFlags):
     non_det: bool = False
     """Sample actions instead of taking the mode."""
     any_env: bool = False
-    """Accept a policy of another environment with the same observation layout, or of other settings of this one."""
+    """Accept a policy of another environment with the same observation layout, or of other settings of this one.
+    Other people and episode lengths need no flag."""
     grid: Count = 1
     """Episodes side by side."""
     visuals: str = "primitives"
@@ -145,16 +146,17 @@ def run(config: ViewConfig) -> None:
 
     jax.config.update("jax_platforms", "cpu")  # one environment: an accelerator would be slower
     import agym_jax
-    from agym_jax.policy.check import settings_for
+    from agym_jax.policy.check import settings_for, trained_otherwise
     from agym_jax.policy.files import load_policies
     from agym_jax.viewer.picture import Picture
     from agym_jax.viewer.serve import close_server, open_server
 
-    files, settings = policy_files(config, say), config.options()
-    if files and not settings:  # as the policy was trained, unless somebody says otherwise
-        settings = settings_for(files.robot, config.env_name)
-    env = agym_jax.make(config.env_name, impl="native", **settings)
-    policy = load_policies(files, env, config.any_env) if files else None
+    files = policy_files(config, say)
+    trained = settings_for(files.robot, config.env_name) if files else {}
+    env = agym_jax.make(config.env_name, impl="native", **{**trained, **config.options()})
+    policy = load_policies(files, env, config.any_env, other_people=True) if files else None
+    if policy and (otherwise := trained_otherwise(policy, env)):
+        say(f"Other than in training: {otherwise}.")
     server = open_server(env.name, config.host, 0 if config.export else config.port)
     try:
         picture = Picture(server)

@@ -203,11 +203,17 @@ def test_settings_of_the_command_line_are_those_of_enjoy(words, monkeypatch, cap
     assert env.changes == {"task.scratch": 3.0, "episode_length": 50}
 
 
-def test_without_settings_they_are_those_of_the_policy(tmp_path: Path, monkeypatch):
+def test_settings_are_the_policys_where_nothing_else_is_asked_for(tmp_path, monkeypatch, capsys):
     policy = load_policy(ID)
     info = {**policy.info, "changes": {"episode_length": 50}}
     save_policy(tmp_path / "mine.npz", dataclasses.replace(policy, info=info))
-    assert shown(monkeypatch, ID, "--policy", str(tmp_path / "mine.npz")).episode_length == 50
+    words = [ID, "--policy", str(tmp_path / "mine.npz")]
+    assert shown(monkeypatch, *words).changes == {"episode_length": 50}
+    assert "in training" not in capsys.readouterr().out
+    env = shown(monkeypatch, *words, "--humans.impairments", "tremor")
+    assert env.changes == {"episode_length": 50, "humans.impairments": ["tremor"]}
+    said = "Other than in training: humans.impairments is the default in training, ['tremor'] here."
+    assert said in capsys.readouterr().out
 
 
 def test_policies_sample_as_in_enjoy(stage: Stage):

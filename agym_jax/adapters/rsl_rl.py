@@ -12,8 +12,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import agym_jax
-from agym_jax.adapters.torch import TorchVectorEnv, success_of_ended, torch
+from agym_jax.adapters.torch import TrainerEnv, success_of_ended, torch
 from agym_jax.errors import MissingExtraError
 
 try:
@@ -25,30 +24,14 @@ except ImportError as error:
     ) from error
 
 
-class RslRlVecEnv(VecEnv):
+class RslRlVecEnv(TrainerEnv, VecEnv):
     """``num_envs`` environments of rsl_rl.
 
     The end of an episode by its length is a time-out (``extras["time_outs"]``), for which rsl_rl adds the value of what would have
-    come; the success of episodes that end is logged as ``/success``.
-
-    Args:
-        env: see ``TorchVectorEnv``.
-        num_envs: how many.
-        seed: of the first episodes, and of those that follow.
-        **settings: see ``TorchVectorEnv``.
-
-    Raises:
-        AgymError: see ``TorchVectorEnv``.
+    come; the success of episodes that end is logged as ``/success``. For arguments and errors see ``TrainerEnv``.
     """
 
-    def __init__(
-        self,
-        env: str | agym_jax.Env,
-        num_envs: int = 1,
-        seed: int | None = None,
-        **settings: Any,
-    ):
-        self.envs = TorchVectorEnv(env, num_envs, **settings)
+    def _prepare(self, seed: int | None) -> None:
         self.num_envs = self.envs.num_envs
         self.num_actions = self.envs.action_space.shape[0]
         self.max_episode_length = self.envs.episode_length
@@ -91,9 +74,6 @@ class RslRlVecEnv(VecEnv):
         if success is not None:
             extras["log"] = {"/success": success}
         return self.get_observations(), rewards, terminated | truncated, extras
-
-    def close(self) -> None:
-        """Nothing is left to close."""
 
 
 __all__ = ["RslRlVecEnv"]

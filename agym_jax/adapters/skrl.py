@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-import agym_jax
-from agym_jax.adapters.torch import TorchVectorEnv, success_of_ended, torch
+from agym_jax.adapters.torch import TrainerEnv, success_of_ended, torch
 from agym_jax.errors import MissingExtraError
 
 try:
@@ -24,34 +23,18 @@ except ImportError as error:
     raise MissingExtraError('skrl is not installed: pip install skrl, or "agym_jax[rl]"') from error
 
 
-class SkrlEnv(Wrapper):
+class SkrlEnv(TrainerEnv, Wrapper):
     """``num_envs`` environments of skrl.
 
     As in skrl's own wrappers of vectors, ``reset`` begins episodes once and then gives what is observed now. The success of
-    episodes that end is logged as ``Info / success``.
-
-    Args:
-        env: see ``TorchVectorEnv``.
-        num_envs: how many.
-        seed: of the first episodes, and of those that follow.
-        **settings: see ``TorchVectorEnv``.
-
-    Raises:
-        AgymError: see ``TorchVectorEnv``.
+    episodes that end is logged as ``Info / success``. For arguments and errors see ``TrainerEnv``.
     """
 
-    def __init__(
-        self,
-        env: str | agym_jax.Env,
-        num_envs: int = 1,
-        seed: int | None = None,
-        **settings: Any,
-    ):
-        envs = TorchVectorEnv(env, num_envs, **settings)
-        super().__init__(envs)
-        self.envs, self._seed, self._begun = envs, seed, False
-        size = envs.core.privileged_obs_size
-        whole = (envs.observation_space.shape[0] + size,)
+    def _prepare(self, seed: int | None) -> None:
+        Wrapper.__init__(self, self.envs)
+        self._seed, self._begun = seed, False
+        size = self.envs.core.privileged_obs_size
+        whole = (self.envs.observation_space.shape[0] + size,)
         self._state_space = spaces.Box(-np.inf, np.inf, whole, np.float32) if size else None
 
     @property
@@ -87,9 +70,6 @@ class SkrlEnv(Wrapper):
 
     def render(self, *args: Any, **kwargs: Any) -> None:
         """Nothing: ``agym-jax enjoy`` and ``gymnasium.make(id, render_mode="rgb_array")`` make pictures."""
-
-    def close(self) -> None:
-        """Nothing is left to close."""
 
 
 __all__ = ["SkrlEnv"]

@@ -12,6 +12,7 @@ rsl_rl, skrl and Stable-Baselines3 see the modules of their names beside this on
 from __future__ import annotations
 
 import dataclasses
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -197,6 +198,41 @@ class TorchVectorEnv:
         return actions
 
 
+class TrainerEnv(ABC):
+    """``num_envs`` environments behind the interface of a library that trains.
+
+    Args:
+        env: see ``TorchVectorEnv``.
+        num_envs: how many.
+        seed: of the first episodes, and of those that follow.
+        **settings: see ``TorchVectorEnv``.
+
+    Raises:
+        AgymError: see ``TorchVectorEnv``.
+
+    Attributes:
+        envs: the environments.
+    """
+
+    def __init__(
+        self,
+        env: str | agym_jax.Env,
+        num_envs: int = 1,
+        seed: int | None = None,
+        **settings: Any,
+    ):
+        self.envs = TorchVectorEnv(env, num_envs, **settings)
+        self._prepare(seed)
+
+    @abstractmethod
+    def _prepare(self, seed: int | None) -> None:
+        """What the library expects of an object that is made."""
+
+    def close(self) -> None:
+        """See ``TorchVectorEnv``."""
+        self.envs.close()
+
+
 class Tensors(Mapping[str, torch.Tensor]):
     """Named arrays that become tensors when they are read.
 
@@ -243,4 +279,4 @@ def _device() -> torch.device:
     )
 
 
-__all__ = ["Tensors", "TorchVectorEnv", "success_of_ended"]
+__all__ = ["Tensors", "TorchVectorEnv", "TrainerEnv", "success_of_ended"]

@@ -1,16 +1,17 @@
-"""What the loggers that only ever append have in common: which rows they have, and all seeds in one row."""
+"""What the loggers of services have in common: they only ever append, know which rows they have, and take all seeds in one row."""
 
 from __future__ import annotations
 
 import json
 import secrets
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from agym_jax.data.npz import write_file
 
-from .protocol import Curves, values
+from .protocol import Curves, LoggedRun, values
 
 
 class Place:
@@ -48,3 +49,42 @@ class Place:
         self.steps = max(merged, default=self.steps)
         line = json.dumps({"id": self.identity, "env_steps": self.steps})
         write_file(self._path, f"{line}\n".encode())
+
+
+class Service(ABC):
+    """See ``Logger``.
+
+    Args:
+        run: what is logged.
+    """
+
+    file: str
+    """In the run's folder: which log it continues."""
+
+    def __init__(self, run: LoggedRun) -> None:
+        self.run, self.place = run, Place(run.folder / self.file)
+        self._log: Any = None
+
+    @abstractmethod
+    def open(self) -> Any:
+        """The service's log of this run, new or continued: an object with ``log`` and ``finish``.
+
+        Raises:
+            ConfigError: the service refuses.
+        """
+
+    def begin(self, curves: Curves) -> None:
+        """See ``Logger``."""
+        if self._log is None:
+            self._log = self.open()
+        self.add(curves)
+
+    def add(self, curves: Curves) -> None:
+        """See ``Logger``."""
+        self.place.log(curves, self._log.log)
+
+    def close(self) -> None:
+        """See ``Logger``."""
+        if self._log is not None:
+            self._log.finish()
+            self._log = None

@@ -11,39 +11,20 @@ from typing import Any
 
 import trackio
 
-from .protocol import Curves, LoggedRun
-from .service import Place
+from .service import Service
 
 
-class Trackio:
-    """See ``Logger``.
+class Trackio(Service):
+    """See ``Logger``."""
 
-    Args:
-        run: what is logged.
-    """
+    file = "trackio.json"
 
-    def __init__(self, run: LoggedRun) -> None:
-        self._run, self._place = run, Place(run.folder / "trackio.json")
-        self._log: Any = None
-
-    def begin(self, curves: Curves) -> None:
-        """See ``Logger``."""
-        if self._log is None:
-            self._log = trackio.init(
-                project=os.environ.get("TRACKIO_PROJECT", "agym_jax"),
-                name=f"{self._run.name}-{self._place.identity}",
-                resume="allow",
-                config=dict(self._run.settings),
-                embed=False,
-            )
-        self.add(curves)
-
-    def add(self, curves: Curves) -> None:
-        """See ``Logger``."""
-        self._place.log(curves, self._log.log)
-
-    def close(self) -> None:
-        """See ``Logger``."""
-        if self._log is not None:
-            self._log.finish()
-            self._log = None
+    def open(self) -> Any:
+        """See ``Service``."""
+        return trackio.init(
+            project=os.environ.get("TRACKIO_PROJECT", "agym_jax"),
+            name=f"{self.run.name}-{self.place.identity}",
+            resume="allow",
+            config=dict(self.run.settings),
+            embed=False,
+        )

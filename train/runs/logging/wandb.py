@@ -12,46 +12,27 @@ from typing import Any
 import wandb
 
 from ...errors import ConfigError
-from .protocol import Curves, LoggedRun
-from .service import Place
+from .service import Service
 
 
-class Wandb:
-    """See ``Logger``.
+class Wandb(Service):
+    """See ``Logger``."""
 
-    Args:
-        run: what is logged.
-    """
+    file = "wandb.json"
 
-    def __init__(self, run: LoggedRun) -> None:
-        self._run, self._place = run, Place(run.folder / "wandb.json")
-        self._log: Any = None
-
-    def begin(self, curves: Curves) -> None:
-        """See ``Logger``."""
-        if self._log is None:
-            try:
-                self._log = wandb.init(
-                    project=os.environ.get("WANDB_PROJECT", "agym_jax"),
-                    name=self._run.name,
-                    id=self._place.identity,
-                    resume="allow",
-                    dir=str(self._run.folder),
-                    config=dict(self._run.settings),
-                )
-            except wandb.Error as error:
-                raise ConfigError(
-                    f"--logger wandb cannot begin: {error} Log in with wandb login, set WANDB_MODE=offline, or leave the "
-                    f"logger out."
-                ) from error
-        self.add(curves)
-
-    def add(self, curves: Curves) -> None:
-        """See ``Logger``."""
-        self._place.log(curves, self._log.log)
-
-    def close(self) -> None:
-        """See ``Logger``."""
-        if self._log is not None:
-            self._log.finish()
-            self._log = None
+    def open(self) -> Any:
+        """See ``Service``."""
+        try:
+            return wandb.init(
+                project=os.environ.get("WANDB_PROJECT", "agym_jax"),
+                name=self.run.name,
+                id=self.place.identity,
+                resume="allow",
+                dir=str(self.run.folder),
+                config=dict(self.run.settings),
+            )
+        except wandb.Error as error:
+            raise ConfigError(
+                f"--logger wandb cannot begin: {error} Log in with wandb login, set WANDB_MODE=offline, or leave the "
+                f"logger out."
+            ) from error

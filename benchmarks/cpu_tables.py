@@ -12,7 +12,7 @@ from train.evaluation.statistics import iqm
 
 NATIVE, MJX, THEIRS = "native", "jax", "assistive-gym"
 NAMES = {NATIVE: "C MuJoCo", MJX: "MJX", THEIRS: "Assistive Gym"}
-OF_CPU = "Control steps per second of CPU time, about half of what two cores make in a second."
+OF_CPU = "Control steps per second of CPU time."
 Speeds = dict[tuple[str, str, int], Line]
 """Environment, implementation, environments side by side -> line."""
 

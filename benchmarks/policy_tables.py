@@ -27,11 +27,21 @@ COMMIT = 7
 """Characters of a commit that results and policies agree on."""
 FEW = 6
 """Names that are listed."""
+MANY = 500
+"""Episodes from which on a tenth of a percent is told: so many round 99.5 % to no 100 %."""
+
+
+def _share(value: float, episodes: int) -> str:
+    """A share of episodes."""
+    return f"{value:.1%}" if episodes >= MANY else f"{value:.0%}"
 
 
 def _success(line: Line) -> str:
     """Share of successes and its 95 % interval."""
-    return f"{line['success']:.0%} ({line['success_low']:.0%} to {line['success_high']:.0%})"
+    mean, low, high = (
+        _share(line[name], line["episodes"]) for name in ("success", "success_low", "success_high")
+    )
+    return f"{mean} ({low} to {high})"
 
 
 def shipped() -> set[str]:
@@ -67,7 +77,8 @@ def success(folder: Path = RESULTS) -> str:
     usual = mode and Counter(x["episodes"] for x in mode).most_common(1)[0][0]
 
     def cell(x: Line) -> str:
-        return f"{x['success']:.0%}" + (f" of {x['episodes']:,}" if x["episodes"] != usual else "")
+        noted = f" of {x['episodes']:,}" if x["episodes"] != usual else ""
+        return _share(x["success"], x["episodes"]) + noted
 
     return matrix(
         mode, cell, f"Success rate of the shipped policies, {usual:,} episodes each unless noted;"

@@ -27,6 +27,8 @@ COMMIT = 7
 """Characters of a commit that results and policies agree on."""
 FEW = 6
 """Names that are listed."""
+THERE = "in-assistive-gym"
+"""Kind of results that were measured in Assistive Gym."""
 MANY = 500
 """Episodes from which on a tenth of a percent is told: so many round 99.5 % to no 100 %."""
 
@@ -143,6 +145,33 @@ def gentle(folder: Path = RESULTS) -> str:
     lines = read_results("gentle", ("env", "cost_limit"), folder)
     episodes = several(f"{x['episodes']:,}" for x in lines)
     return table(lines, columns, itemgetter("env"), f"{episodes} episodes of each seed, mode;")
+
+
+def candidates(folder: Path = RESULTS) -> str:
+    """What chosen policies that do not ship achieve: elsewhere too, beside those that ship."""
+    tried = read_results("candidates", ("kind", "env", "policy"), folder)
+    ships = {x["env"]: x for x in read_results("in_assistive_gym", ("env",), folder)}
+    beside = [
+        ships[x["env"]] | {"policy": "the one that ships"}
+        for x in tried
+        if x["kind"] == THERE and x["env"] in ships
+    ]
+
+    def there(x: Line) -> bool:
+        return x["kind"] == THERE
+
+    columns = {
+        "environment": lambda x: x["env"],
+        "policy": lambda x: x["policy"],
+        "in": lambda x: "Assistive Gym" if there(x) else "agym_jax",
+        "success": lambda x: (
+            f"{x['successes']} of {x['episodes']}" if there(x)
+            else f"{_share(x['success'], x['episodes'])} of {x['episodes']:,}"
+        ),
+        "gentle success": lambda x: "" if there(x) else _share(x["gentle_success"], x["episodes"]),
+        "peak force of 99 % of episodes at most": lambda x: "" if there(x) else f"{x['peak_99']:.0f} N",
+    }  # fmt: skip
+    return table([*tried, *beside], columns, lambda x: (x["env"], there(x), x["policy"]))
 
 
 def sweeps(folder: Path = RESULTS) -> str:

@@ -278,6 +278,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "selections": policy_tables.selections,
     "sweeps": policy_tables.sweeps,
     "gentle": policy_tables.gentle,
+    "candidates": policy_tables.candidates,
     "together": policy_tables.together,
     "seeds": policy_tables.seeds,
     "training-speed": training_speed,

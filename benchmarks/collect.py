@@ -2,9 +2,10 @@
 
 RUNS are folders that ``agym-jax suite`` had as ``--save-dir``. Of each run whose seeds were measured, the choice
 (``results/selection.jsonl``), what training was (``results/seed_training.jsonl``) and what the chosen policy achieves
-over other people are kept. The chosen policy replaces the one that ships where it succeeds more often (gently, if it was trained
-under a cost limit; such choices are in ``results/gentle.jsonl``), over the same people in the same physics if ``select`` measured both; where none ships, from ``--least`` on. Then the tables and the
-picture of the curves are made anew. Collecting the same runs again changes nothing.
+over other people are kept. The chosen policy replaces the one that ships where it succeeds more often, over the same people in
+the same physics if ``select`` measured both; where none ships, from ``--least`` on. Of runs under a cost limit, gentle successes
+count, and choice and limit are in ``results/gentle.jsonl``. Then the tables and the picture of the curves are made anew.
+Collecting the same runs again changes nothing.
 """
 
 from __future__ import annotations
@@ -69,6 +70,11 @@ class Found:
     run: Path
     choice: Line
     training: Line
+
+    @property
+    def gentle(self) -> bool:
+        """Whether it was trained under a cost limit, so that its seeds were chosen by their gentle successes."""
+        return bool(self.choice.get("chosen_gently"))
 
 
 def find(config: CollectConfig) -> list[Found]:
@@ -177,11 +183,9 @@ def decide(found: Found, least: float) -> tuple[bool, str]:
         theirs, where = recorded().get(name), "its recorded evaluation"
     if not theirs:
         return ours["success"] >= least, "what ships was never measured"
-    measure = "gentle_success" if found.choice.get("chosen_gently") else "success"
-    return (
-        ours[measure] > theirs.get(measure, 0.0),
-        f"what ships has {theirs.get(measure, 0.0):.1%} over {where}",
-    )
+    measure = "gentle_success" if found.gentle else "success"
+    beaten = theirs.get(measure, 0.0)
+    return ours[measure] > beaten, f"what ships has {beaten:.1%} over {where}"
 
 
 def ship(found: Found) -> Line:
@@ -212,7 +216,7 @@ def collect(found: Found, config: CollectConfig) -> tuple[bool, str]:
     name, choice = found.run.name, found.choice
     ships, why = decide(found, config.least)
     if not config.dry:
-        if choice.get("chosen_gently"):
+        if found.gentle:
             put("gentle", {**choice, "cost_limit": found.training["cost_limit"]}, ("env", "time"))
         else:
             put("selection", choice, ("env", "time"))

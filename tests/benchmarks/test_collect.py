@@ -120,6 +120,32 @@ def test_what_ships_is_replaced_by_what_is_better(shipped_there, ours, ships, ru
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("gently", "ships"), [(0.6, True), (0.1, False)])
+def test_under_a_cost_limit_gentle_successes_count(gently, ships, runs, repository):
+    """And the choice is told apart from those without."""
+    kept = repository / "policies" / f"{ALONE}.npz"
+    kept.write_bytes((runs / ALONE / "seed_1" / "policy.npz").read_bytes())
+    was = json.loads((runs / ALONE / "selection.jsonl").read_text())["reported"]
+    fields = {
+        "reported": was | {"success": 0.7, "gentle_success": gently},
+        "shipped": was | {"success": 0.9, "gentle_success": 0.2},
+    }
+    path, before = change(
+        runs, ALONE, **fields, shipped_unfit="", commit="c" * 40, chosen_gently=True
+    )
+    try:
+        (found,) = collecting.find(collecting.CollectConfig((runs,), (ALONE,)))
+        found.training["cost_limit"] = 0.1
+        told, text = collecting.collect(found, collecting.CollectConfig((runs,)))
+    finally:
+        path.write_text(before)
+    assert told is ships and "what ships has 20.0% over the same people" in text
+    (line,) = lines(repository, "gentle")
+    assert line["cost_limit"] == 0.1
+    assert not lines(repository, "selection") and not lines(repository, "seed_training")
+
+
+@pytest.mark.slow
 def test_a_run_of_nobody_knows_which_code_is_refused(runs, repository, capsys):
     path, before = change(runs, ALONE, commit=None)
     try:

@@ -25,7 +25,7 @@ from benchmarks.markdown import (
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (
     ROOT / "README.md",
-    *(ROOT / "docs" / f"{name}.md" for name in ("benchmarks", "seeds", "care")),
+    *(ROOT / "docs" / f"{name}.md" for name in ("benchmarks", "seeds", "care", "torch", "viewer")),
 )
 
 
@@ -123,6 +123,35 @@ def resume(folder: Path = RESULTS) -> str:
         "uninterrupted runs, seeds 1, 2, ...": lambda x: ends(x["unbroken"]),
     }
     return table(read_results("resume", ("env",), folder), columns, itemgetter("env"))
+
+
+def torch_overhead(folder: Path = RESULTS) -> str:
+    """What PyTorch's tensors cost."""
+    columns = {
+        "environment": lambda x: x["env"],
+        "physics": lambda x: x["impl"],
+        "parallel envs": lambda x: f"{x['num_envs']:,}",
+        "control steps/s": lambda x: f"{x['steps_per_s']:,}",
+        "with PyTorch's tensors": lambda x: f"{x['steps_per_s_torch']:,}",
+        "overhead, median (range)": lambda x: (
+            f"{x['overhead_percent']:.1f} % ({x['overhead_percent_min']:.1f} to {x['overhead_percent_max']:.1f})"
+        ),
+    }
+    by = ("env", "impl", "num_envs")
+    return table(read_results("torch_overhead", by, folder), columns, itemgetter(*by))
+
+
+def viewer_speed(folder: Path = RESULTS) -> str:
+    """How fluently the viewer plays."""
+    columns = {
+        "environment": lambda x: x["env"],
+        "drawn by": lambda x: "Chromium, in software" if x["browser"] else "another machine",
+        "frames/s": lambda x: f"{x['frames_per_s']:.1f}",
+        "share of real time": lambda x: f"{100 * x['share_of_real_time']:.0f} %",
+        "longest frame": lambda x: f"{x['longest_frame_s']:.2f} s",
+    }
+    by = lambda x: (x["env"], str(x["browser"]))  # noqa: E731
+    return table(read_results("viewer_speed", ("env", "browser"), folder), columns, by)
 
 
 def kills(folder: Path = RESULTS) -> str:
@@ -285,6 +314,8 @@ TABLES: dict[str, Callable[..., str]] = {
     "brax-ppo": brax_ppo,
     "resume": resume,
     "kills": kills,
+    "torch-overhead": torch_overhead,
+    "viewer-speed": viewer_speed,
     "nan": nan,
     "reach": reach,
     "pulls": pulls,

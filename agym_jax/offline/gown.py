@@ -10,8 +10,6 @@ Facts of Assistive Gym: reference tasks.md section 6.
 
 DEVIATION(part-of-a-gown): the gown ends where it is held, 0.33 m from the cuff: 0.26 m^2 of AG's 1.10 m^2, at AG's
 0.209 kg/m^2: 0.05 kg of 0.23 kg. The rest, which hangs from the gripper to both sides or lies on the lap, is left out.
-DEVIATION(wide-cuff): the cuff, the watched loop, is 0.44 m round. AG's 0.386 m does not pass a bent elbow of 43 mm
-radius without stretching: AG's stretches, by a half where it is pulled over the elbow.
 """
 
 from __future__ import annotations
@@ -43,14 +41,14 @@ class GownMeasures:
 
     Attributes:
         edge: length of most edges, which sets the resolution.
-        cuff: perimeter of the cuff; AG's girths are widened to it.
+        cuff: perimeter of the cuff (AG: the same).
         length: from the cuff to where the gown is held, along the cloth (AG: 0.32 to 0.36).
         patch: width that is held (AG: the patch of anchors).
         patch_depth: length of the held patch (AG: the same).
     """
 
     edge: float = 0.0241
-    cuff: float = 0.44
+    cuff: float = 0.386
     length: float = 0.33
     patch: float = 0.075
     patch_depth: float = 0.018

@@ -4,9 +4,12 @@ Assistive Gym v0.1 ``dressing.py`` (reference tasks.md section 6). The person ho
 forearm forwards. The gripper holds the gown at the neck, 0.33 m from the cuff, above the hand, and is paid for how far up the
 arm the cuff has come; 0.4 m, from the tip of the hand along forearm and upper arm, are a success.
 
-DEVIATION(cloth-force): true newtons, the mean over a control step of what the gown presses on the person,
-summed over its vertices. AG: position corrections times 10, of contacts below 1.1 m and 20 units, with robot
-and wheelchair among them.
+DEVIATION(cloth-force): AG's number of the gown's force is 10 times the position corrections of one solver iteration,
+summed over contacts below 1.1 m and 20 units, with robot and wheelchair among them. Observed and rewarded is what the
+gown presses on the person, the mean over a control step, summed over its vertices [N], times AG_FORCE.
+DEVIATION(gown-start): AG drops the gown before each episode; it hangs like a curtain before the hand, its cuff 5 cm before the
+tip, with the rest of the gown on the lap. Here a gown that hangs still begins swung forward and sideways, by as much as
+is drawn, so that hands which move at once, or high above the arm, miss the sleeve, as in AG.
 DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor, not the robot.
 DEVIATION(dressing-limits): the joint limits of the person's arm hold here as in every task.
 """
@@ -58,8 +61,12 @@ START = (0.45, -0.3, 1.2)  # of the hand, world [m]: AG dressing.py reset
 START_SPREAD = 0.05  # [m], AG dressing.py reset
 BELOW_HAND = 0.012
 """From the end effector down to the middle of the held patch [m] (AG, recorded: 11 to 12 mm)."""
-FREE = 0.02
-"""The gown hangs in front of a hand whose tip is so far beyond where it is held [m]: offline/gown.py HANDS."""
+BEFORE, BESIDE = (0.08, 0.2), (-0.03, 0.06)
+"""The gown begins swung so far forward of the person's hand at its height, and to the person's left [m]: the hand is in the
+mouth of the gown, not in the gown. Seen from its tip, the cloth fills 0.2 to 0.5 of all directions (AG: 0.28 to 0.52); AG's cuff
+is 1 to 5 cm to the left of the gripper. Nearer to the hand, paths of the hand dress people here that miss the sleeve in AG."""
+AG_FORCE = 2.3
+"""AG's number of the gown's force for a newton: benchmarks/parity/gown.py."""
 LEFT_BESIDE = replace(
     WHEELCHAIR,
     name="wheelchair_left",  # what carries a robot stands on the person's left
@@ -107,7 +114,7 @@ class RobotObs:
     hand_quat_w: Array = column(4, "1 (wxyz)", "world")
     arm_angles: Array = column(7, "rad", "joints")
     assisted_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
-    cloth_force: Array = column(1, "N", "gown on the person")
+    cloth_force: Array = column(1, "AG's", "gown on the person, about 0.4 N each")
 
 
 @observation(source="dressing.py _get_obs")
@@ -118,7 +125,7 @@ class HumanObs:
     hand_quat_w: Array = column(4, "1 (wxyz)", "world")
     human_angles: Array = column(10, "rad", "left arm's joints")
     assisted_arm: ArmFromChest = part(ArmFromChest)  # shoulder, elbow, wrist
-    cloth_force: Array = column(1, "N", "gown on the person")
+    cloth_force: Array = column(1, "AG's", "gown on the person, about 0.4 N each")
     robot_on_human: Array = column(1, "N", "robot on the person")
 
 
@@ -200,14 +207,16 @@ class Dressing:
         return jnp.array([START]) + noise
 
     def init(self, key: Array, sensed: Sensed) -> DressState:
-        """The gown hangs from the gripper, at rest, and around the person's hand, if that is inside of it."""
+        """The gown hangs from the gripper, at rest, before the person's hand."""
         nowhere, zero = jnp.bool_(False), jnp.float32(0.0)
         held_w = sensed.tool.pos_w - BELOW_HAND * UP
         cloth = fabrics.initial(self.spec, held_w)
-        around = swung(cloth.pos_w, held_w, arm_of(sensed).hand_end_w)
+        low, high = jnp.array([BESIDE, BEFORE]).T
+        off = jax.random.uniform(key, (2,), minval=low, maxval=high)
+        before = swung(cloth.pos_w, held_w, arm_of(sensed).hand_end_w, off)
         free = (self.spec.held < 0)[:, None]
         state = DressState(
-            cloth=replace(cloth, pos_w=jnp.where(free, around, cloth.pos_w)),
+            cloth=replace(cloth, pos_w=jnp.where(free, before, cloth.pos_w)),
             slid=jnp.zeros(3),
             on_arm=sleeve.SleeveState(nowhere, nowhere),
             dressed=zero,
@@ -270,14 +279,12 @@ class Dressing:
         return {
             "dressing": c.dressing * state.dressed,
             "action": -c.action * jnp.sum(jnp.square(action)),
-            **dressing_terms(
-                c.preferences, jnp.linalg.norm(sensed.tool.vel_w), jnp.sum(state.force)
-            ),
+            **dressing_terms(c.preferences, jnp.linalg.norm(sensed.tool.vel_w), felt(state)),
         }
 
     def observe(self, state: DressState, sensed: Sensed) -> tuple[RobotObs, HumanObs]:
         """What robot and person see; not the gown, but what the arm feels of it."""
-        s, hand, force = sensed, sensed.tool, jnp.sum(state.force)
+        s, hand, force = sensed, sensed.tool, felt(state)
         joints = [s.link_pos_w[link] for link in ARM_LINKS]
         robot = RobotObs(
             hand_pos_torso=hand.pos_w - s.torso_pos_w,
@@ -323,17 +330,23 @@ class Dressing:
         return [Surface(state.cloth.pos_w, self.gown.triangles, (0.55, 0.76, 0.86, 1.0))]
 
 
-def swung(pos_w: Array, held_w: Array, hand_w: Array) -> Array:
-    """A hanging gown, swung to where the hand is around which it hangs, world [m] (n, 3).
+def felt(state: DressState) -> Array:
+    """AG's number of what the gown presses on the person ()."""
+    return AG_FORCE * jnp.sum(state.force)
+
+
+def swung(pos_w: Array, held_w: Array, hand_w: Array, off: Array) -> Array:
+    """A hanging gown, swung to before a hand, world [m] (n, 3).
 
     Args:
-        pos_w: vertices, hanging around a hand below where it is held [m] (n, 3).
+        pos_w: vertices, hanging straight [m] (n, 3).
         held_w: where it is held [m] (3,).
         hand_w: tip of the person's hand [m] (3,).
+        off: how far it is swung at the height of the hand, to the person's left and forward of the hand [m] (2,).
     """
-    off = hand_w - held_w
-    swing = jnp.array([off[0], jnp.minimum(off[1] - FREE, 0.0), 0.0])
-    return pos_w + swing * jnp.clip((pos_w[:, 2:] - held_w[2]) / off[2], 0.0, 1.0)
+    below = hand_w - held_w
+    swing = jnp.array([off[0], jnp.minimum(below[1] - off[1], 0.0), 0.0])
+    return pos_w + swing * jnp.clip((pos_w[:, 2:] - held_w[2]) / below[2], 0.0, 1.0)
 
 
 def held_at(spec: ClothSpec, hand_w: Array) -> Array:

@@ -208,7 +208,7 @@ def test_cloth_rests_on_the_floor():
         free = G * spec.mass[spec.held < 0].sum()
         if held:
             # what lies on the floor does not hang from the hand
-            assert lying.mean() > 0.1 and 0.1 < touch.grip_w[-50:, 2].mean() / free < 0.9
+            assert lying.mean() > 0.05 and 0.1 < touch.grip_w[-50:, 2].mean() / free < 0.9
         else:
             assert lying.mean() > 0.2 and height.max() < 0.3  # its folds stand up
 

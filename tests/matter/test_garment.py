@@ -54,7 +54,7 @@ def write_obj(folder: Path, garment: Garment, factor: float = 100.0, **said) -> 
 def test_gown_has_its_measures():
     gown = load()
     assert 400 <= len(gown.vertices) <= 1200
-    assert np.isclose(gown.cuff_perimeter, 0.44, atol=0.005)  # deviation wide-cuff
+    assert np.isclose(gown.cuff_perimeter, 0.386, atol=0.005)
     wide = boundary_loop("gown", gown.triangles, int(np.argmax(gown.vertices[:, 1])))
     loop = gown.vertices[wide]
     around = np.linalg.norm(loop - np.roll(loop, -1, 0), axis=1).sum()
@@ -69,7 +69,7 @@ def test_cuff_hangs_as_far_below_the_gripper_as_assistive_gyms():
     gown = load()
     assert gown.hanging is not None
     cuff = gown.hanging[gown.cuff].mean(0) - gown.hanging[gown.anchors].mean(0)
-    assert -0.337 < cuff[2] < -0.30 and abs(cuff[0]) < 0.02  # AG: 0.313 +- 0.007 m
+    assert -0.337 < cuff[2] < -0.30 and abs(cuff[0]) < 0.04  # AG: 0.313 +- 0.007 m
 
 
 def test_packaged_gown_equals_the_built_one():
@@ -83,7 +83,7 @@ def test_packaged_gown_equals_the_built_one():
 def test_gown_builds_at_other_resolutions(edge: float):
     gown, rough = build_gown(GownMeasures(edge=edge)), build_gown()
     assert np.isclose(gown.areas.sum(), rough.areas.sum(), rtol=0.08)
-    assert np.isclose(gown.cuff_perimeter, 0.44, atol=0.005)
+    assert np.isclose(gown.cuff_perimeter, 0.386, atol=0.005)
     spec = build_cloth(gown)
     degrees = np.bincount(gown.edges().ravel())
     assert len(spec.edges.partner) <= degrees.max() + 1  # few colours

@@ -49,7 +49,7 @@ from agym_jax.matter.shapes import (
 
 RECOVERY_SHARE = 0.2
 """Share of an earlier penetration of a solid that is removed in a substep: by displacement, without speed or force."""
-SLIP_STRETCH = 2.5
+SLIP_STRETCH = 3.0
 """Cloth slips when its most stretched edge is more than this many times as long as at rest."""
 SLIP_RATE, GATHER_RATE = 3.0, 0.5
 """Speed [m/s] at which cloth slides through the fingers per unit of stretch above ``SLIP_STRETCH`` (at most one), and

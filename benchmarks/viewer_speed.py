@@ -51,7 +51,7 @@ def opened(browser: Path | None, address: str) -> Iterator[None]:
     if browser is None:
         yield
         return
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         words = [str(browser), "--headless=new", "--no-sandbox", f"--user-data-dir={folder}", "--window-size=1280,800", "--enable-unsafe-swiftshader", address]  # fmt: skip
         with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as run:
             try:

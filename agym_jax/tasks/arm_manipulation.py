@@ -5,11 +5,12 @@ robot has two arms. Success is an elbow near the waist and a hand near the hips 
 episode: their distances together at most 0.7 m.
 
 DEVIATION(one-arm): Sawyer and Jaco take 7 actions, not 14 of which AG ignores 7; their one tool stands in
-both places of the observation, and its force and speed count once.
+both places of the observation (its force, as in AG, in the right one's alone), and its force and speed count once.
 DEVIATION(arm-torque): motors reach 10 N m, AG's 5. The person's mass lies where the body is, so that
 lifting the outstretched arm takes 12.6 N m about the shoulder; with AG's centres of mass at the joints
 it takes 6.9. Where episodes begin a Jaco's tool lifts 15 N (median) with 5 N m and 29 N with 10, a Sawyer's 9 and 18;
-a man's forearm, hand and half his upper arm weigh 32 N.
+a man's forearm, hand and half his upper arm weigh 32 N. An earlier policy for Jaco
+that failed in 7 of 12 episodes of AG failed in 3 of these 7 when AG's motors could reach 10 N m, too.
 DEVIATION(pressure): a scooper's pressure is its force over the number of its parts' contacts; AG counts
 Bullet's closest points within 1 cm.
 """
@@ -76,7 +77,7 @@ class RobotObs:
     assisted_arm: ArmFromTorso = part(ArmFromTorso)  # shoulder, elbow, wrist
     waist_pos_torso: Array = column(3, "m", "world axes, from the torso")
     hips_pos_torso: Array = column(3, "m", "world axes, from the torso")
-    left_tool_force: Array = column(1, "N", "all contacts of the tool")
+    left_tool_force: Array = column(1, "N", "all contacts of the tool; 0 with one arm")
     right_tool_force: Array = column(1, "N", "all contacts of the tool")
 
 
@@ -93,7 +94,7 @@ class HumanObs:
     waist_pos_human: Array = column(3, "m", "world axes, from the chest")
     hips_pos_human: Array = column(3, "m", "world axes, from the chest")
     force_on_human: Array = column(1, "N", "robot and tools on the person")
-    left_tool_on_human: Array = column(1, "N", "tool on the person")
+    left_tool_on_human: Array = column(1, "N", "tool on the person; 0 with one arm")
     right_tool_on_human: Array = column(1, "N", "tool on the person")
 
 
@@ -190,6 +191,8 @@ class ArmManipulation:
         """What robot and person see."""
         s, torso, chest = sensed, sensed.torso_pos_w, sensed.human_pos_w
         left, right = s.tools[0], s.tools[-1]
+        # AG counts contacts of a one-armed robot's tool as the right one's
+        two = float(len(s.tools) > 1)
         arm_torso, arm_chest = see_arm(s)
         waist, hips = s.link_pos_w["waist"], s.link_pos_w["hips"]
         robot = RobotObs(
@@ -201,7 +204,7 @@ class ArmManipulation:
             assisted_arm=arm_torso,
             waist_pos_torso=waist - torso,
             hips_pos_torso=hips - torso,
-            left_tool_force=left.force,
+            left_tool_force=two * left.force,
             right_tool_force=right.force,
         )
         human = HumanObs(
@@ -214,7 +217,7 @@ class ArmManipulation:
             waist_pos_human=waist - chest,
             hips_pos_human=hips - chest,
             force_on_human=s.force_on_human,
-            left_tool_on_human=left.on_human,
+            left_tool_on_human=two * left.on_human,
             right_tool_on_human=right.on_human,
         )
         return robot, human

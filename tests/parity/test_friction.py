@@ -24,7 +24,9 @@ def test_every_kind_of_pair_is_compared(rows: dict[str, friction.Row]):
     beds = ("wheelchair", "mattress in BedBathing", "mattress in ArmManipulation")
     assert kinds == {"tool on person", "robot on person", "person on himself"} | {
         f"{what} on {seat}" for what in ("tool", "robot", "person") for seat in beds
-    } | {f"{what} on {other}" for what in ("tool", "robot") for other in ("robot", "nightstand")}
+    } | {
+        f"{what} on {other}" for what in ("tool", "robot") for other in ("robot", "nightstand")
+    } | {"person on nightstand"}
     assert rows["coefficient, tool on mattress in BedBathing"].ag == pytest.approx(2.5)
     assert all(rows[f"coefficient, {kind}"].holds for kind in kinds)
 

@@ -214,9 +214,12 @@ def test_observations_of_two_arms():
 def test_one_arm_stands_in_both_places():
     tool = LEFT | {"force": 3.0, "on_human": 2.0}
     robot, human = observed(tool, arm_angles=np.arange(7.0), robot_on_human=0.5)
-    for what in ("pos_torso", "quat_w", "force"):
+    for what in ("pos_torso", "quat_w"):
         left, right = (getattr(robot, f"{side}_tool_{what}") for side in ("left", "right"))
         np.testing.assert_array_equal(left, right)
+    # AG asks whether it is the right tool's first, then whether it is the left one's
+    assert (float(robot.left_tool_force), float(robot.right_tool_force)) == (0.0, 3.0)
+    assert (float(human.left_tool_on_human), float(human.right_tool_on_human)) == (0.0, 2.0)
     np.testing.assert_array_equal(robot.arm_angles, [*range(7), *range(7)])
     assert float(human.force_on_human) == 2.5  # its force counts once
 

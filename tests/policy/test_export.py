@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from fake_env import FakeEnv
 from paths import PROCESS_SECONDS, ROOT
+from unshipped import unshipped
 
 import agym_jax
 from agym_jax.data.assets import asset_path, asset_root
@@ -173,7 +174,7 @@ def test_a_trained_policy_is_found_in_its_run(tmp_path):
         ([ROBOT, ""], ("ends in .onnx",)),
         ([ROBOT, "folder.onnx"], ("is a folder",)),
         (["ReechingJaco-v0", "p.onnx"], ("Did you mean 'ReachingJaco-v0'",)),
-        (["BedBathingBaxter-v0", "p.onnx"], ("ships no policy", "agym-jax train")),
+        ([unshipped(), "p.onnx"], ("ships no policy", "agym-jax train")),
         ([ROBOT, "p.onnx", "--policy", "none.npz"], ("No policy 'none.npz'",)),
         ([ROBOT, "p.onnx", "--policy", "zero"], ("'zero'", "--policy")),
         ([ROBOT, "p.onnx", "--load-dir", "nowhere"], ("No policy for", "nowhere")),
@@ -202,7 +203,7 @@ def test_errors_in_python(tmp_path, monkeypatch, envs):
     with pytest.raises(PolicyEnvironmentError, match="was trained in"):
         export_policy(policy, envs[PAIR], tmp_path / "policy.onnx")
     with pytest.raises(PolicyNotFoundError, match="ships no policy"):
-        choose_policy("BedBathingBaxter-v0")
+        choose_policy(unshipped())
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(MissingExtraError, match=r"agym_jax\[onnx\]"):
         export_policy(policy, envs[ROBOT], tmp_path / "policy.onnx")

@@ -121,11 +121,10 @@ FORMER = {
     "BedBathing": ("ce0c90227def", "8865741e8731", "eae8135dcfc6"),
     "Feeding": ("a29fbe638cea", "5bddeb2eed80", "49b38c6ea370"),
     "Drinking": ("a29fbe638cea", "5bddeb2eed80", "49b38c6ea370"),
-    "Dressing": ("d220e91f3f90", "095683e92188", "c9c1681d0acd"),
-    "ArmManipulation": ("f0ca9aad0e8f", "ca69cf3e94fc", "51156b5e6c84"),
     "Reaching": ("3a615b5fc44a", "5e311a9ce5d5", "44887518fcbe"),
 }
-"""Layouts of robot, human and both, as files say that were written before columns were renamed."""
+"""Layouts of robot, human and both, as files say that were written before columns were renamed. The forces in the
+observations of Dressing and ArmManipulation have changed since."""
 
 
 @pytest.mark.parametrize("name", FORMER)
@@ -135,7 +134,10 @@ def test_layouts_from_before_columns_were_renamed_are_known(name):
         layout_version(*records, former=True) for records in ((robot,), (human,), (robot, human))
     ]
     assert tuple(former) == FORMER[name]
-    assert layout_version(human) != former[1] and set(FORMER) == set(TASKS)
+    assert layout_version(human) != former[1] and set(FORMER) == {*TASKS} - {
+        "Dressing",
+        "ArmManipulation",
+    }
 
 
 def test_policies_from_before_columns_were_renamed_fit(tmp_path):

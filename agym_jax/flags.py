@@ -80,6 +80,23 @@ class EnvFlags:
         return found
 
 
+@dataclass(frozen=True)
+class PolicyFlags(EnvFlags):
+    """What environment is made and who acts in it; the base of the settings of every command that plays or measures."""
+
+    load_dir: str | None = None
+    """--save-dir of a training run, whose policy is meant; without it and --policy, the one shipped with agym_jax."""
+    policy: str | None = None
+    """A policy file, or "zero" or "random"; the robot's, where there is one for each agent."""
+    human_policy: str | None = None
+    """The same for a person who acts; without it, the one that lies beside the robot's."""
+    non_det: bool = False
+    """Sample actions instead of taking the mode."""
+    any_env: bool = False
+    """Accept a policy of another environment with the same observation layout, or of other settings of this one.
+    Other people and episode lengths need no flag."""
+
+
 Flags = TypeVar("Flags", bound=EnvFlags)
 
 

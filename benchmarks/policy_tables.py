@@ -8,6 +8,7 @@ from pathlib import Path
 
 from agym_jax.data.assets import asset_root
 from agym_jax.data.npz import read_npz
+from agym_jax.policy.policy import shipped
 from agym_jax.registry import static_id
 from benchmarks.markdown import (
     NOTHING,
@@ -44,11 +45,6 @@ def _success(line: Line) -> str:
         _share(line[name], line["episodes"]) for name in ("success", "success_low", "success_high")
     )
     return f"{mean} ({low} to {high})"
-
-
-def shipped() -> set[str]:
-    """Ids whose policies are in the package; results of others are kept, but not shown as theirs."""
-    return {path.stem for path in (asset_root() / "policies").glob("*.npz")}
 
 
 def chosen_among(folder: Path = RESULTS) -> str:

@@ -19,10 +19,10 @@ from typing import Annotated, Any
 
 import tyro
 
-from agym_jax.data.assets import asset_root
-from agym_jax.errors import UnknownNameError
 from agym_jax.flags import Count
+from agym_jax.policy.policy import shipped
 from benchmarks.markdown import Line, read_results
+from train.suites.plan import named
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class ShippedConfig:
     """Flags of ``python -m benchmarks.shipped``."""
 
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Beginnings of ids; without them, all that ship."""
+    """Parts of ids, such as Jaco or ScratchItchPR2-v0; without them, all that ship."""
     num_episodes: Count = 1000
     """Episodes of each policy."""
     parallel: Count = 1
@@ -41,22 +41,6 @@ class ShippedConfig:
     """Seed of the episodes; without it, that of the recorded evaluation."""
     json: Path | None = None
     """File to which each result is added as a JSON line."""
-
-
-def shipped_ids(only: Sequence[str] = ()) -> list[str]:
-    """Ids of the environments whose policies ship.
-
-    Args:
-        only: beginnings of ids; none means all.
-
-    Raises:
-        UnknownNameError: a beginning fits none.
-    """
-    ids = sorted(path.stem for path in (asset_root() / "policies").glob("*.npz"))
-    for name in only:
-        if not any(x.startswith(name) for x in ids):
-            raise UnknownNameError("shipped policy", name, ids)
-    return [x for x in ids if not only or x.startswith(tuple(only))]
 
 
 def recorded() -> dict[str, Line]:
@@ -84,7 +68,7 @@ def run(
     config: ShippedConfig, before: dict[str, Line]
 ) -> Iterator[tuple[str, dict[str, Any] | str]]:
     """Ids and what came of them, in order."""
-    ids = shipped_ids(config.only)
+    ids = named(config.only, shipped(), "shipped policy")
 
     def seed_of(name: str) -> int:
         recorded_seed = before.get(name, {}).get("seed", 1001)

@@ -29,6 +29,14 @@ PAGES = (
 )
 
 
+BATCH: dict[str, Callable[[Line], str]] = {
+    "environment": lambda x: x["env"],
+    "physics": lambda x: x["impl"],
+    "parallel envs": lambda x: f"{x['num_envs']:,}",
+}
+"""Columns that say what was stepped."""
+
+
 class TableError(ValueError):
     """A table that a page names and nobody makes, or a broken marker."""
 
@@ -36,9 +44,7 @@ class TableError(ValueError):
 def throughput(folder: Path = RESULTS) -> str:
     """Steps per second of the whole environment."""
     columns = {
-        "environment": lambda x: x["env"],
-        "physics": lambda x: x["impl"],
-        "parallel envs": lambda x: f"{x['num_envs']:,}",
+        **BATCH,
         "control steps/s, median (range)": lambda x: (
             f"**{x['steps_per_s']:,}** ({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,})"
         ),
@@ -128,9 +134,7 @@ def resume(folder: Path = RESULTS) -> str:
 def torch_overhead(folder: Path = RESULTS) -> str:
     """What PyTorch's tensors cost."""
     columns = {
-        "environment": lambda x: x["env"],
-        "physics": lambda x: x["impl"],
-        "parallel envs": lambda x: f"{x['num_envs']:,}",
+        **BATCH,
         "control steps/s": lambda x: f"{x['steps_per_s']:,}",
         "with PyTorch's tensors": lambda x: f"{x['steps_per_s_torch']:,}",
         "overhead, median (range)": lambda x: (
@@ -222,9 +226,7 @@ def _sharing(line: Line) -> str:
 def training(folder: Path = RESULTS) -> str:
     """What training costs."""
     columns = {
-        "environment": lambda x: x["env"],
-        "physics": lambda x: x["impl"],
-        "parallel envs": lambda x: f"{x['num_envs']:,}",
+        **BATCH,
         "steps": lambda x: f"{x['steps']:,}",
         "start": lambda x: x["start"],
         "total wall time": lambda x: f"{x['wall_s']:.0f} s",

@@ -20,7 +20,7 @@ import jax
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
-from agym_jax.flags import Count, EnvFlags, parse_flags
+from agym_jax.flags import Count, PolicyFlags, parse_flags
 from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.check import trained_otherwise
 from agym_jax.policy.files import find_policies, load_policies
@@ -38,24 +38,13 @@ SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 @dataclass(frozen=True)
-class EnjoyConfig(EnvFlags):
+class EnjoyConfig(PolicyFlags):
     """Flags of ``agym-jax enjoy``."""
 
-    load_dir: str | None = None
-    """--save-dir of a training run; without it and --policy, the policy shipped with agym_jax."""
-    policy: str | None = None
-    """A policy file, or "zero" or "random"; the robot's, where there is one for each agent."""
-    human_policy: str | None = None
-    """The same for a person who acts; without it, the one that lies beside the robot's."""
     episodes: Count = 1
     """How many episodes, one after the other."""
     seed: int = 1001
     """Seed of the first episode; the next ones have the seeds after it."""
-    non_det: bool = False
-    """Sample actions instead of taking the mode."""
-    any_env: bool = False
-    """Accept a policy of another environment with the same observation layout, or of other settings of this one.
-    Other people and episode lengths need no flag."""
     impl: str = "native"
     """Physics: "native" (C MuJoCo, quick to start) or "jax" (MJX, as in training)."""
     clip: Path | None = None

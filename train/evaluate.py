@@ -16,7 +16,7 @@ import jax
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
-from agym_jax.flags import Count, EnvFlags, parse_flags
+from agym_jax.flags import Count, PolicyFlags, parse_flags
 from agym_jax.policy.agents import AnyPolicy, baseline_policy
 from agym_jax.policy.check import trained_otherwise
 from agym_jax.policy.files import find_policies, load_policies
@@ -59,26 +59,15 @@ def evaluate(
 
 
 @dataclass(frozen=True)
-class EvaluateConfig(EnvFlags):
+class EvaluateConfig(PolicyFlags):
     """Flags of ``agym-jax evaluate``."""
 
-    load_dir: str | None = None
-    """--save-dir of a training run; without it and --policy, the policy shipped with agym_jax."""
-    policy: str | None = None
-    """A policy file, or "zero" or "random"; the robot's, where there is one for each agent."""
-    human_policy: str | None = None
-    """The same for a person who acts; without it, the one that lies beside the robot's."""
     num_episodes: Count = 100
     """Episodes, all side by side."""
     seed: int = 1001
     """Seed of the episodes (Assistive Gym: training seed + 1000)."""
-    non_det: bool = False
-    """Sample actions instead of taking the mode."""
     impl: str = "auto"
     """Physics: "jax", "warp", "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU where it is installed."""
-    any_env: bool = False
-    """Accept a policy of another environment with the same observation layout, or of other settings of this one.
-    Other people and episode lengths need no flag."""
     json: str | None = None
     """File to which the result is added as a JSON line."""
 

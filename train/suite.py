@@ -19,6 +19,7 @@ from typing import Any
 
 import tyro
 
+from agym_jax import list_envs
 from agym_jax.data.npz import check_writable, write_file
 from agym_jax.errors import AgymError
 from agym_jax.interrupts import raise_again
@@ -27,7 +28,7 @@ from .runs.overview import markdown, selection_of, training_summary
 from .runs.plots import plot_runs
 from .runs.progress import duration
 from .suites.children import own_program, visible_gpus
-from .suites.plan import SuiteConfig, steps_of, suite_ids
+from .suites.plan import SuiteConfig, named, steps_of
 from .suites.runner import Outcome, Runner
 from .suites.whole import Whole
 
@@ -69,7 +70,7 @@ def main(
     raise_again()
     try:
         config = tyro.cli(SuiteConfig, prog=prog, args=arguments, description=__doc__)
-        ids = suite_ids(config.only)
+        ids = named(config.only, list_envs())
         for name in ids:
             steps_of(config.steps, name)
         gpus = visible_gpus(config.gpus)

@@ -19,7 +19,7 @@ from agym_jax.errors import (
     PolicyNotFoundError,
     checked_count,
 )
-from agym_jax.flags import Count, EnvFlags, parse_flags
+from agym_jax.flags import Count, PolicyFlags, parse_flags
 
 if TYPE_CHECKING:
     from agym_jax.policy.agents import AnyPolicy
@@ -32,22 +32,11 @@ MOST = 64  # environments side by side
 
 
 @dataclass(frozen=True)
-class ViewConfig(EnvFlags):
+class ViewConfig(PolicyFlags):
     """Flags of ``agym-jax view``."""
 
-    load_dir: str | None = None
-    """--save-dir of a training run, whose policy is meant; without it and --policy, the one shipped with agym_jax."""
-    policy: str | None = None
-    """A policy file, or "zero" or "random"; the robot's, where there is one for each agent."""
-    human_policy: str | None = None
-    """The same for a person who acts; without it, the one that lies beside the robot's."""
     seed: int = 1001
     """Seed of the first episode; the next ones have the seeds after it."""
-    non_det: bool = False
-    """Sample actions instead of taking the mode."""
-    any_env: bool = False
-    """Accept a policy of another environment with the same observation layout, or of other settings of this one.
-    Other people and episode lengths need no flag."""
     grid: Count = 1
     """Episodes side by side."""
     visuals: str = "primitives"

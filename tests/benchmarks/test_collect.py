@@ -222,4 +222,4 @@ def test_the_results_of_this_repository_are_whole():
         assert len(line["curve"]["success"]) == len(line["curve"]["success_low"]) > 10
     for line in markdown.read_results("selection", ("env",)):
         assert line["commit"] and line["chosen_over"] != line["reported_over"]
-    assert set(shipped.shipped_ids()) <= shipped.recorded().keys()
+    assert set(shipped.shipped()) <= shipped.recorded().keys()

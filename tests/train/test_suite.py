@@ -14,6 +14,7 @@ import pytest
 from paths import PROCESS_SECONDS, ROOT, SUPPORT
 from train_runs import start_python
 
+from agym_jax import list_envs
 from agym_jax.errors import UnknownNameError
 from train.errors import ConfigError
 from train.runs.checkpoint import checkpoint_files
@@ -21,7 +22,7 @@ from train.runs.overview import read_rows, wall_seconds
 from train.suite import describe, main
 from train.suites import children
 from train.suites import runner as runners
-from train.suites.plan import SuiteConfig, steps_of, suite_ids
+from train.suites.plan import SuiteConfig, named, steps_of
 from train.suites.runner import Runner
 from train.suites.whole import Whole
 
@@ -97,11 +98,12 @@ def test_what_fails_is_told_and_the_others_go_on(tmp_path, program):
 
 
 def test_names_and_steps():
-    assert suite_ids(["ReachingJaco"]) == ["ReachingJaco-v0", "ReachingJacoHuman-v0"]
-    assert suite_ids(["SawyerHuman", "DressingSawyer"])[-1] == "DressingSawyer-v0"
-    assert len(suite_ids([])) == 56
+    everything = list_envs()
+    assert named(["ReachingJaco"], everything) == ["ReachingJaco-v0", "ReachingJacoHuman-v0"]
+    assert named(["SawyerHuman", "DressingSawyer"], everything)[-1] == "DressingSawyer-v0"
+    assert len(named([], everything)) == 56
     with pytest.raises(UnknownNameError, match="ReachingJacko"):
-        suite_ids(["ReachingJacko"])
+        named(["ReachingJacko"], everything)
     steps = ["Dressing=6e6", "DressingPR2=8e6"]
     assert steps_of(steps, "DressingPR2-v0") == ["--num-env-steps", "8e6"]
     assert steps_of(steps, "DressingJaco-v0") == ["--num-env-steps", "6e6"]

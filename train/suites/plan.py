@@ -8,7 +8,6 @@ from typing import Annotated
 
 import tyro
 
-import agym_jax
 from agym_jax.errors import UnknownNameError, checked_count
 from agym_jax.flags import Count
 
@@ -47,17 +46,21 @@ class SuiteConfig:
         check_save_dir(self.save_dir)
 
 
-def suite_ids(only: Sequence[str]) -> list[str]:
-    """Ids whose names contain one of the parts, in the order of the parts.
+def named(parts: Sequence[str], ids: Sequence[str], kind: str = "environment") -> list[str]:
+    """Ids that contain one of the parts, in the order of the parts; all of them if there are no parts.
+
+    Args:
+        parts: of ids, such as Jaco.
+        ids: which there are.
+        kind: what the ids are of, for the error.
 
     Raises:
         UnknownNameError: a part is in no id.
     """
-    ids = list(agym_jax.list_envs())
-    for part in only:
+    for part in parts:
         if not any(part in name for name in ids):
-            raise UnknownNameError("environment", part, ids)
-    found = [name for part in only or [""] for name in ids if part in name]
+            raise UnknownNameError(kind, part, ids)
+    found = [name for part in parts or [""] for name in ids if part in name]
     return list(dict.fromkeys(found))
 
 

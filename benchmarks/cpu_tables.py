@@ -7,10 +7,20 @@ from operator import itemgetter
 from pathlib import Path
 
 from agym_jax.tasks import TASKS
-from benchmarks.markdown import NOTHING, RESULTS, Line, grid, read_results, several, table
+from benchmarks.markdown import (
+    NOTHING,
+    RESULTS,
+    THEIRS,
+    Line,
+    grid,
+    mark,
+    read_results,
+    several,
+    table,
+)
 from train.evaluation.statistics import iqm
 
-NATIVE, MJX, THEIRS = "native", "jax", "assistive-gym"
+NATIVE, MJX = "native", "jax"
 NAMES = {NATIVE: "C MuJoCo", MJX: "MJX", THEIRS: "Assistive Gym"}
 OF_CPU = "Control steps per second of CPU time."
 Speeds = dict[tuple[str, str, int], Line]
@@ -49,8 +59,15 @@ def _speeds(measured: str, folder: Path) -> tuple[Speeds, Speeds, dict[str, Line
     return beside(ours), beside(theirs), {x["env"]: x for x in theirs}
 
 
-def _value(line: Line | None) -> str:
-    return f"{line['cpu_steps_per_s']:,}" if line else ""
+def _values(used: Sequence[Line]) -> Callable[[Line | None], str]:
+    """What a line's cell shows, with a sign if it is of an earlier physics than others of the table."""
+    sign = mark(used)
+
+    def value(line: Line | None) -> str:
+        speed = "steps_per_s" if line and line["measured"] == "training" else "cpu_steps_per_s"
+        return f"{line[speed]:,}{sign(line)}" if line else ""
+
+    return value
 
 
 def _ratio(line: Line | None, other: Line | None) -> str:
@@ -75,18 +92,18 @@ def speed(folder: Path = RESULTS) -> str:
     batches = [(impl, count) for count in counts for impl in (MJX, NATIVE)]
     head = ["environment", *(f"{NAMES[impl]}, {count}" for impl, count in batches)]
     head += [f"C MuJoCo / MJX, {count}" for count in counts]
+    used = [*here.values(), *training.values(), *gyms.values()]
+    value = _values(used)
     rows = [[*head, NAMES[THEIRS], "C MuJoCo / Assistive Gym"]]
     rows[0] += ["training, steps/s"] if training else []
     for env in names:
-        row = [env, *(_value(here.get((env, impl, count))) for impl, count in batches)]
+        row = [env, *(value(here.get((env, impl, count))) for impl, count in batches)]
         row += [_ratio(here.get((env, NATIVE, n)), here.get((env, MJX, n))) for n in counts]
         beside = [there.get((env, NATIVE, n)) for n in counts]
         gym = gyms.get(env)
-        row += [_value(gym), _ratio(next((x for x in beside if x), None), gym)]
-        own = training.get(env)
-        row += [f"{own['steps_per_s']:,}" if own else ""] if training else []
+        row += [value(gym), _ratio(next((x for x in beside if x), None), gym)]
+        row += [value(training.get(env))] if training else []
         rows.append(row)
-    used = [*here.values(), *training.values(), *gyms.values()]
     return grid(
         rows, used, f"{OF_CPU} Random actions, resets included; a batch's size.{_where(gyms)}"
     )
@@ -101,8 +118,9 @@ def summary(folder: Path = RESULTS) -> str:
     names = [f"{task}Jaco-v0" for task in TASKS]
     of = {impl: [here.get((env, impl, counts[0])) for env in names] for impl in (NATIVE, MJX)}
     of[THEIRS] = [gyms.get(env) for env in names]
-    rows = [[NAMES[impl], *map(_value, lines)] for impl, lines in of.items() if any(lines)]
     used = [x for lines in of.values() for x in lines if x]
+    value = _values(used)
+    rows = [[NAMES[impl], *map(value, lines)] for impl, lines in of.items() if any(lines)]
     return grid([["", *TASKS], *rows], used, f"{OF_CPU} Jaco, {counts[0]} environments;")
 
 

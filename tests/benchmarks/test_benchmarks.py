@@ -13,7 +13,7 @@ import pytest
 from agym_jax.data.npz import write_npz
 from agym_jax.errors import DamagedFileError
 from benchmarks import compile as starts
-from benchmarks import kills, nan, resume, tables, throughput, training_speed
+from benchmarks import kills, nan, resume, tables, throughput, training_speed, viewer_speed
 from benchmarks.child import ChildError, run_child
 from train.configs import parse_arguments
 from train.runs.folder import RunFolder
@@ -143,3 +143,17 @@ def test_the_commands_of_a_killed_run_mean_its_settings(tmp_path):
     train, evaluate = kills.commands(config, 3, tmp_path)
     assert parse_arguments(train[1:], platform="cpu") == kills.settings(config, 3, tmp_path)
     assert (train[0], evaluate[0]) == ("train", "evaluate")
+
+
+def test_the_viewers_speed_is_measured_within_one_episode(capsys):
+    assert viewer_speed.main(["--env-names", "ReachingJaco-v0", "--seconds", "18"]) == 2
+    assert "lasts 20 s" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_viewer_keeps_up_with_real_time(tmp_path):
+    file = tmp_path / "speed.jsonl"
+    words = ["--env-names", "ReachingJaco-v0", "--seconds", "2", "--json", str(file)]
+    assert viewer_speed.main(words) == 0
+    line = json.loads(file.read_text())
+    assert 5 < line["frames_per_s"] < 26 and 0.8 < line["share_of_real_time"] < 1.2

@@ -74,7 +74,7 @@ class TorchVectorEnv:
         self.device = torch.device("cpu") if self._native else _device()
         self.action_space, self.observation_space = spaces_of(env)
         compiled = (lambda f: f) if self._native else jax.jit
-        self._reset, self.step_state = compiled(self.envs.reset), compiled(self.envs.step)
+        self._reset, self.step_state = compiled(self.envs.reset), compiled(self._stepped)
         self._seeds = gymnasium.utils.seeding.np_random(None)[0]
         self._state: Any = None
 
@@ -153,11 +153,11 @@ class TorchVectorEnv:
             ActionError: they are no tensor, have another shape or device, or (on a CPU) NaN or infinite entries.
             gymnasium.error.ResetNeeded: nothing has begun.
         """
-        state = self.state
-        self._state = s = self.step_state(state, self.array(self._checked(actions)))
-        truncated = self.tensor(s.info["truncation"]) > 0
-        terminated = (self.tensor(s.done) > 0) & ~truncated
-        return self.tensor(s.obs), self.tensor(s.reward), terminated, truncated, self._info()
+        state, action = self.state, self.array(self._checked(actions))
+        self._state, *ends = self.step_state(state, action)
+        obs, reward = self.tensor(self._state.obs), self.tensor(self._state.reward)
+        terminated, truncated = map(self.tensor, ends)
+        return obs, reward, terminated, truncated, self._info()
 
     def tensor(self, array: Any) -> torch.Tensor:
         """An array of the state as a tensor on ``device`` that shares its memory."""
@@ -170,6 +170,12 @@ class TorchVectorEnv:
 
     def close(self) -> None:
         """Nothing is left to close; what libraries call in the end."""
+
+    def _stepped(self, state: Any, action: Any) -> tuple[Any, Any, Any]:
+        """The next state, and where episodes ended by a failure and by their length: compiled together, as PyTorch's kernels cost more."""
+        state = self.envs.step(state, action)
+        truncated = state.info["truncation"] > 0
+        return state, (state.done > 0) & ~truncated, truncated
 
     def _info(self) -> dict[str, Any]:
         final = self.tensor(self.state.info["final_observation"])

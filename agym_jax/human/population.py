@@ -17,7 +17,7 @@ from agym_jax.errors import ArgumentError, UnknownNameError
 from agym_jax.human import anthropometry
 
 IMPAIRMENTS = ("none", "limits", "weakness", "tremor")
-MASSES = ("body", "ag")
+MASSES = ("body", "ag", "both")
 LEAST = {"blend": -math.inf, "stature": 0.0, "girth": 0.0}
 """What the ranges of sizes must be above."""
 
@@ -54,7 +54,8 @@ class Population:
         girth: range of the radius scale when continuous.
         masses: ``"body"`` has the mass of a limb where the limb is; ``"ag"`` is as Assistive Gym: every centre of mass
             at its joint, the inertia of boxes, joints without damping but for Bullet's drag, which stop dead at
-            their limits, and no support of a seated person's girdle. For comparisons and for transfer.
+            their limits, and no support of a seated person's girdle. For comparisons and for transfer. ``"both"`` draws
+            a person of the one or the other kind with equal chance.
     """
 
     sizes: str = "ag"
@@ -156,6 +157,9 @@ def sample_human(
         girth = jax.random.uniform(keys[3], (), minval=low, maxval=high)
     limits = jax.random.uniform(keys[4], (), minval=0.5, maxval=1.0)
     strength = jax.random.uniform(keys[5], (), minval=0.25, maxval=1.0)
+    at_joints = jnp.float32(humans.masses == "ag")
+    if humans.masses == "both":  # a key of its own: everything else is drawn as without
+        at_joints = jax.random.bernoulli(jax.random.fold_in(key, len(keys))).astype(jnp.float32)
     shake = jax.random.uniform(keys[6], (n_joints,), minval=-1.0, maxval=1.0)
     return Human(
         sex=sex,
@@ -164,5 +168,5 @@ def sample_human(
         strength=jnp.where(kind == 2, strength, 1.0),
         limit_scale=jnp.where(kind == 1, limits, 1.0),
         tremor=jnp.where(kind == 3, shake * tremor_amplitude, 0.0),
-        at_joints=jnp.float32(humans.masses == "ag"),
+        at_joints=at_joints,
     )

@@ -145,7 +145,8 @@ class NativePhysics:
 
         def written(people: People) -> tuple[dict[str, Array], Muscles]:
             muscles = controller.muscles(people.human)
-            return strong((model_fields(scene, scene.model, people, muscles), muscles))
+            own = controller.contact_fields(scene.model, people.human)
+            return strong((model_fields(scene, scene.model, people, muscles) | own, muscles))
 
         self.written = jax.jit(jax.vmap(written), compiler_options=QUICKLY)
         self.drive = DriveProgram(controller, self.model)
@@ -363,12 +364,13 @@ class Slot:
             samples[:, start:stop] = self._out[name]
 
     def _stop_at_joints(self, alive: np.ndarray) -> None:
-        """What ``Controller.after_step`` makes of the person's joints."""
-        index, rows = self.physics.scene.index, np.flatnonzero(alive)
+        """What ``Controller.after_step`` makes of the joints of people with AG's masses."""
+        index, at_joints = self.physics.scene.index, self.people.human.at_joints
+        rows = np.flatnonzero(alive & (np.asarray(at_joints)[: len(alive)] > 0.0))
         names = ("geom_size", "jnt_range")
         model = {name: self.batch.expand(name).astype(np.float32) for name in names}
         fields = {name: x.astype(np.float32) for name, x in (self._state | self._out).items()}
-        q, v = (np.asarray(x) for x in self.physics.after_step(model, fields))
+        q, v = map(np.asarray, self.physics.after_step(model, fields, at_joints))
         self._state["qpos"][np.ix_(rows, index.human_qpos)] = q[rows]
         self._state["qvel"][np.ix_(rows, index.human_dof)] = v[rows]
 

@@ -20,7 +20,7 @@ from agym_jax.errors import ActionError
 from agym_jax.human import body, limits, muscles
 from agym_jax.human.population import Human
 from agym_jax.sim.index import Index
-from agym_jax.sim.landing import Landing, hold_early
+from agym_jax.sim.landing import RESTING, Landing, hold_early
 from agym_jax.sim.motors import Aim, Motors
 from agym_jax.sim.scene import Scene
 from agym_jax.spec import Control, HumanSpec, Task
@@ -88,14 +88,15 @@ class Controller:
     robot_range: np.ndarray  # joint limits [rad]                             (n_arm, 2)
     arm_limits: limits.ArmLimits
     arms: tuple[tuple[np.ndarray, float], ...]  # rows of an arm's four joints, 1 right or -1 left
-    at_joints: bool = False  # whether people have AG's masses, see ``muscles.as_bullet``
+    at_joints: bool = False  # whether there are people with AG's masses, see ``muscles.as_bullet``
     landing: Landing | None = None  # of their arms on the bed
+    mixed: bool = False  # whether there are others, too
 
     @classmethod
     def of(cls, scene: Scene, task: Task, active: bool, masses: str = "body") -> Controller:
         """The driver of a scene; ``masses`` is the population's."""
         names = scene.moving
-        at_joints = masses == "ag" and bool(names)
+        at_joints = masses != "body" and bool(names)
         arms = [
             (np.array([names.index(f"{side}_{joint}") for joint in ARM]), sign)
             for side, sign in (("r", 1.0), ("l", -1.0))
@@ -113,11 +114,27 @@ class Controller:
             arms=tuple(arms),
             at_joints=at_joints,
             landing=Landing.of(scene.model, scene.index) if at_joints else None,
+            mixed=masses == "both",
         )
 
     def model_of(self, model: mujoco.MjModel) -> mujoco.MjModel:
-        """The scene's model, or a copy with contacts as people with AG's masses need them."""
-        return model if self.landing is None else hold_early(model, self.landing.pairs)
+        """The scene's model, or a copy with contacts as people with AG's masses need them; see ``contact_fields``."""
+        if self.landing is None or self.mixed:
+            return model
+        return hold_early(model, self.landing.pairs)
+
+    def contact_fields(self, model: Any, human: Human) -> dict[str, Array]:
+        """Fields of a model that differ between people with AG's masses and others, where there are both.
+
+        Args:
+            model: ``mjx.Model`` or ``MjModel`` of the scene; it is not changed.
+            human: of the environment.
+        """
+        if self.landing is None or not self.mixed:
+            return {}
+        margin = jnp.asarray(model.pair_margin, jnp.float32)
+        early = jnp.where(human.at_joints > 0.0, RESTING, margin[self.landing.pairs])
+        return {"pair_margin": margin.at[self.landing.pairs].set(early)}
 
     def targets(
         self, episode: Episode, data: Any, action: Array, load: tuple[Array, Array] | None = None
@@ -234,8 +251,10 @@ class Controller:
         beyond = ~jnp.all(jnp.stack(reach) > 0.0)
         return jax.lax.cond(beyond, jax.vmap(self.limit_torque), lambda q, v: 0.0 * q, q, v)
 
-    def after_step(self, model: Any, data: Any, matrix: Any, xp: Any = jnp) -> tuple[Any, Any]:
-        """The person's angles and velocities after a physics step, as in Bullet; only if ``at_joints``.
+    def after_step(
+        self, model: Any, data: Any, matrix: Any, at_joints: Any, xp: Any = jnp
+    ) -> tuple[Any, Any]:
+        """The person's angles and velocities after a physics step, as in Bullet for people with AG's masses.
 
         What falls onto the bed stops at its surface (``Landing``), and joints at their limits (``muscles.as_bullet``).
 
@@ -243,12 +262,18 @@ class Controller:
             model: with this person in it.
             data: as the step leaves it: new angles and velocities, and where everything was as it began.
             matrix: of inertia, of the whole scene, as the physics keeps it.
+            at_joints: 1 for a person with AG's masses; all others stay as they are ().
             xp: numpy or jax.numpy.
         """
         q, v = data.qpos[self.index.human_qpos], data.qvel[self.index.human_dof]
+        left = (q, v)
         if self.landing is not None:
             mobility = xp.linalg.inv(self.human_motors.inertia(matrix, xp))
             after = self.landing.stop(v, mobility, model, data, self.motors.time_step, xp)
             q, v = q + self.motors.time_step * (after - v), after
         limits = model.jnt_range[self.index.human_joint]
-        return muscles.as_bullet(q, v, limits, self.motors.time_step, xp)
+        stopped = muscles.as_bullet(q, v, limits, self.motors.time_step, xp)
+        if not self.mixed:
+            return stopped
+        q, v = (xp.where(at_joints > 0.0, *x) for x in zip(stopped, left, strict=True))
+        return q, v

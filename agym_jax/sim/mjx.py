@@ -135,7 +135,8 @@ class MjxPhysics:
             data = data.replace(qfrc_bias=data.qfrc_bias.at[index.robot_dof].set(bias))
             if self.controller.at_joints:
                 human_q, human_v = index.human_qpos, index.human_dof
-                q, v = self.controller.after_step(model, data, data._impl.M)
+                at_joints = episode.human.at_joints
+                q, v = self.controller.after_step(model, data, data._impl.M, at_joints)
                 data = data.replace(
                     qpos=data.qpos.at[human_q].set(q), qvel=data.qvel.at[human_v].set(v)
                 )
@@ -159,7 +160,9 @@ class MjxPhysics:
     def model_of(self, episode: Episode) -> mjx.Model:
         """The model with this episode's person and robot base in it."""
         muscles = self.controller.muscles(episode.human)
-        return self.model.tree_replace(model_fields(self.scene, self.model, episode, muscles))
+        fields = model_fields(self.scene, self.model, episode, muscles)
+        fields |= self.controller.contact_fields(self.model, episode.human)
+        return self.model.tree_replace(fields)
 
 
 def _write(

@@ -169,14 +169,14 @@ class DriveProgram:
         return jnp.concatenate([*whole, flat, sound[:, None].astype(jnp.float32)], 1)
 
 
-def afterwards(controller: Controller) -> Callable[[State, State], tuple[Array, Array]]:
+def afterwards(controller: Controller) -> Callable[[State, State, Array], tuple[Array, Array]]:
     """``Controller.after_step`` as a function of fields of model and data, of one environment."""
 
-    def after(model: State, fields: State) -> tuple[Array, Array]:
+    def after(model: State, fields: State, at_joints: Array) -> tuple[Array, Array]:
         shapes = {"xaxis": (-1, 3), "xanchor": (-1, 3), "geom_xpos": (-1, 3), "geom_xmat": (-1, 9)}
         data = {name: x.reshape(shapes.get(name, x.shape)) for name, x in fields.items()}
         return controller.after_step(
-            SimpleNamespace(**model), SimpleNamespace(**data), data["M"], jnp
+            SimpleNamespace(**model), SimpleNamespace(**data), data["M"], at_joints
         )
 
     return after

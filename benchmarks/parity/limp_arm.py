@@ -104,7 +104,7 @@ class Person:
         """What ``Controller.after_step`` does."""
         if self.controller.at_joints:
             index, model = self.scene.index, self.model
-            after = self.controller.after_step(model, data, data.M, np)
+            after = self.controller.after_step(model, data, data.M, 1.0, np)
             data.qpos[index.human_qpos], data.qvel[index.human_dof] = after
 
     def load(self, q: np.ndarray) -> np.ndarray:

@@ -96,6 +96,20 @@ def test_masses_are_where_the_body_is_or_at_the_joints():
     assert (crowd(Population(masses="ag")).at_joints == 1).all()
 
 
+def test_both_masses_are_drawn_alike_and_nothing_else_changes():
+    usual, both = crowd(Population()), crowd(Population(masses="both"))
+    kinds, shares = np.unique(both.at_joints, return_counts=True)
+    np.testing.assert_array_equal(kinds, [0.0, 1.0])
+    assert abs(shares[1] / N - 1 / 2) < 4 * np.sqrt(1 / 4 / N)
+    for name in ("sex", "strength", "limit_scale", "tremor"):
+        np.testing.assert_array_equal(getattr(both, name), getattr(usual, name))
+    # independent of who the person is, and the same for the same key
+    for other in (both.sex, both.strength < 1, both.limit_scale < 1):
+        assert abs(np.corrcoef(both.at_joints, other)[0, 1]) < 5 / np.sqrt(N)
+    again = crowd(Population(masses="both"))
+    np.testing.assert_array_equal(again.at_joints, both.at_joints)
+
+
 def test_unknown_names_are_refused_with_the_nearest():
     with pytest.raises(UnknownNameError, match=r"distribution of masses 'at'"):
         Population(masses="at")

@@ -5,11 +5,14 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
+import agym_jax
+from agym_jax.human.population import Population
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.control import Controller
 from agym_jax.sim.landing import REACH, RESTING, Landing
@@ -38,6 +41,38 @@ def test_only_limp_arms_with_ags_masses_land():
     assert all(n.startswith(("human/right_", "seat/")) for n in names)
     assert (early.pair_margin[changed] == RESTING).all()
     assert _controller("ArmManipulation", "body").model_of(model) is model
+    assert _controller("ArmManipulation", "both").model_of(model) is model  # each person's own
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["ArmManipulationJaco-v0", pytest.param("ScratchItchJaco-v0", marks=pytest.mark.slow)],
+)
+def test_where_both_masses_are_drawn_everybody_is_as_among_their_like(name: str):
+    make = lambda masses: agym_jax.make(  # noqa: E731
+        name, impl="native", humans=Population(masses=masses, impairments=("none",))
+    )
+    both, like = make("both"), {1.0: make("ag"), 0.0: make("body")}
+    push, seen = np.full(7, 0.5, np.float32), set()
+    for seed in range(12):
+        key = jax.random.PRNGKey(seed)
+        mine = both.reset(key)
+        kind = float(mine.episode.human.at_joints)
+        if kind in seen:
+            continue
+        seen.add(kind)
+        theirs = like[kind].reset(key)
+        for _ in range(8):
+            mine, theirs = both.step(mine, push), like[kind].step(theirs, push)
+        np.testing.assert_allclose(mine.data.qpos, theirs.data.qpos, atol=1e-5)
+        np.testing.assert_allclose(mine.obs, theirs.obs, atol=1e-3)  # forces [N] are among them
+        other = like[1.0 - kind].reset(key)
+        for _ in range(8):
+            other = like[1.0 - kind].step(other, push)
+        assert np.abs(mine.data.qpos - other.data.qpos).max() > 1e-4
+        if len(seen) == 2:
+            return
+    raise AssertionError(f"only {seen} of both")
 
 
 @pytest.mark.parametrize("sex", [0, 1])

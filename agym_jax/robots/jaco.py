@@ -88,9 +88,10 @@ JACO = RobotSpec(
         "bed": "furniture/nightstand.xml",
     },
     solid_mounts={"bed": ("nightstand_collision",)},
+    mount_fronts={"bed": ("nightstand_front",)},
     # AG loads it with self-collision; of 3,000 random postures no other links that are not neighbours meet
     trunk=("link_1_collision", "link_2_collision"),
-    near_mount=("link_3_collision",),
+    near_mount=("link_3_corners",),
     # robots.md section 7: beside the bed on a nightstand, spread 0.1 m
     searches={
         "BedBathing": BaseSearch((-0.9, 0.65, 0.6), spread=0.1),

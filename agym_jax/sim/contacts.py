@@ -91,7 +91,8 @@ def contact_pairs(
     side = task.human.arm
     # an arm that hangs over the bed's side may come upon what the robot stands on
     hangs = free if task.seat.bears_upper_arm else []
-    pairs["human_mount"] = [(f"human/{x}", m) for x in hangs for m in mount]
+    fronts = [f"mount/{g}" for g in robot.mount_fronts.get(task.seat.name, ())] or mount
+    pairs["human_mount"] = [(f"human/{x}", m) for x in hangs for m in fronts]
     girdle = f"{side}_girdle"
     if task.seat.bears_upper_arm and body.is_free(body.LINK[girdle], moving):
         pairs["human_seat"] += [(f"human/{girdle}", f"seat/{g}") for g in task.seat.pillow]

@@ -73,7 +73,7 @@ def check_robot(spec: mujoco.MjSpec, robot: RobotSpec, task: Task) -> None:
     _check_text(f"{robot.name}'s trunk", robot.trunk)
     _check_text(f"{robot.name}'s near_mount", robot.near_mount)
     _check_there(where, "geom", (*robot.trunk, *robot.near_mount), geoms)
-    for seat, names in robot.solid_mounts.items():
+    for seat, names in (*robot.solid_mounts.items(), *robot.mount_fronts.items()):
         _check_text(f"{robot.name}'s solid_mounts[{seat!r}]", names)
         if seat not in robot.mounts:
             raise SpecError(

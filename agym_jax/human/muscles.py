@@ -7,7 +7,8 @@ the robot's are (``sim.motors``): a limb that is held stands still until it is p
 DEVIATION(girdle-support): a seated person's girdle bears the weight of the arm passively, as ligaments
 do, whatever the strength. In AG's ScratchItch it is held by muscles of at most 1 N m: a man of full strength sinks
 0.13 rad in it within 2 s, the wrist by 4 cm, until the arm lies on the armrest; a woman of full strength holds hers, a
-weak one sinks 1.7 cm. With the mass where it belongs every arm would. ``Population(masses="ag")`` has no such support.
+weak one sinks 1.7 cm. With the mass where it belongs every arm would. ``Population(masses="ag")`` has no such support. It is
+the torque of gravity alone (``sim.girdle``).
 DEVIATION(tissue-damping): every joint of the person has 0.05 N m s/rad, from a model of the human arm (Li and Todorov 2004); AG has
 none, but Bullet's drag. OpenSim's arm has twice as much at shoulder, elbow and forearm (Saul et al., Comput. Methods Biomech. Biomed.
 Eng. 18, 2015, table 2: 0.001745 N m s/deg; a quarter of that for wrist deviation). Half and twice the value move the wrist of a limp arm that falls

@@ -14,7 +14,9 @@ from __future__ import annotations
 import copy
 import dataclasses
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, Protocol
 
 import jax
@@ -41,9 +43,11 @@ QUICKLY = {"xla_backend_optimization_level": 0}
 Layout = tuple[tuple[str, int, int, tuple[int, ...]], ...]
 """Name, start, stop and shape of each field in ``NativeData.numbers``."""
 MOTION = ("qpos", "qvel", "qacc_warmstart", "qfrc_bias", "M")
-"""Fields that decide what happens next."""
+"""Fields that decide what happens next, with those of ``BEARING``."""
 POSES = ("xpos", "xmat", "xquat", "xanchor", "xaxis", "site_xpos", "geom_xpos", "geom_xmat")
 """Fields that ``sense`` reads besides."""
+BEARING = ("xpos", "xmat", "xanchor", "xaxis")
+"""Fields that tell what the arm of a seated person weighs."""
 SAMPLED = ("site_xpos", "xquat", "xpos", "xmat")
 """Fields that ``sample_poses`` reads after every physics step."""
 People = Any
@@ -306,6 +310,7 @@ class Slot:
         for name, field in self._state.items():
             field[:n] = getattr(data, name)
         given = [data.qpos, data.qvel, data.M, data.qfrc_bias]
+        poses = {name: self.fill(getattr(data, name)) for name in BEARING}
         alive, watcher = np.ones(n, bool), physics.watcher
         sensors = np.zeros((self.rows, steps, self._out["sensordata"].shape[1]), np.float32)
         samples = np.zeros((self.rows, steps + 1, physics.sampled[-1][2]), np.float32)
@@ -319,6 +324,7 @@ class Slot:
                 if watcher:
                     watcher.before(batch.get_data(0), np.asarray(targets.load)[0])
                 drive.write(self._state, self._applied, self._solref)
+                self._bear(poses)
                 self._step(alive)
                 if watcher:
                     watcher.after(batch.get_model(0), batch.get_data(0))
@@ -327,6 +333,7 @@ class Slot:
                     self._stop_at_joints(alive)
                 self._sample(sensors[:, k], samples[:, k])
                 physics.drive.gather(self._drive_input, self._state, self._out)
+                poses = self._out
             alive &= self._sound()[:n]
             inertia, bias = self._out["M"].copy(), physics.drive.bias(last, targets, self._out)
             if alive.any():
@@ -350,6 +357,17 @@ class Slot:
             self.batch.step(ids)
         except SimulationError as error:
             alive[error.ids] = False
+
+    def _bear(self, poses: Mapping[str, np.ndarray]) -> None:
+        """Add what bears the arms of seated people, given where everything is (rows, ...)."""
+        controller = self.physics.controller
+        if controller.girdle is None or self.muscles is None:
+            return
+        model = {name: self.batch.expand(name) for name in ("body_mass", "body_ipos")}
+        data = {name: poses[name].reshape(self.rows, -1, 3) for name in BEARING}
+        passive = np.asarray(self.muscles.passive)
+        support = controller.support(passive, SimpleNamespace(**model), SimpleNamespace(**data), np)
+        self._applied[:, self.physics.scene.index.human_dof] += support
 
     def _sound(self) -> np.ndarray:
         """Where C MuJoCo can go on: all numbers are finite, and fit into float32 (rows,)."""

@@ -19,6 +19,7 @@ from jax import Array
 from agym_jax.errors import ActionError
 from agym_jax.human import body, limits, muscles
 from agym_jax.human.population import Human
+from agym_jax.sim.girdle import Girdle
 from agym_jax.sim.index import Index
 from agym_jax.sim.landing import RESTING, Landing, hold_early
 from agym_jax.sim.motors import Aim, Motors
@@ -88,6 +89,7 @@ class Controller:
     robot_range: np.ndarray  # joint limits [rad]                             (n_arm, 2)
     arm_limits: limits.ArmLimits
     arms: tuple[tuple[np.ndarray, float], ...]  # rows of an arm's four joints, 1 right or -1 left
+    girdle: Girdle | None = None  # what bears a seated person's arm
     at_joints: bool = False  # whether there are people with AG's masses, see ``muscles.as_bullet``
     landing: Landing | None = None  # of their arms on the bed
     mixed: bool = False  # whether there are others, too
@@ -112,6 +114,9 @@ class Controller:
             robot_range=np.array(scene.model.jnt_range[scene.index.robot_joint], np.float32),
             arm_limits=limits.load_arm_limits(),
             arms=tuple(arms),
+            girdle=None
+            if task.human.postures
+            else Girdle.of(scene.model, scene.index.human_joint, names),
             at_joints=at_joints,
             landing=Landing.of(scene.model, scene.index) if at_joints else None,
             mixed=masses == "both",
@@ -221,6 +226,19 @@ class Controller:
             bound: of their torques, if not the task's [N m] ().
         """
         return Aim(goal, self.control.rate, self.control.max_torque if bound is None else bound)
+
+    def support(self, passive: Any, model: Any, data: Any, xp: Any = jnp) -> Any:
+        """Torque with which ligaments bear the arm of a seated person [N m] (..., n_person).
+
+        Args:
+            passive: of the person's ``Muscles`` (..., n_person).
+            model: with this person in it.
+            data: of one moment.
+            xp: numpy or jax.numpy.
+        """
+        return (
+            0.0 * passive if self.girdle is None else passive * self.girdle.weight(model, data, xp)
+        )
 
     def limit_torque(self, q: Array, v: Array) -> Array:
         """Pose-dependent limits of the arms: a torque beside the muscles' [N m] (n_person,).

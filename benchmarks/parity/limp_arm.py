@@ -191,7 +191,7 @@ def seated(run: int, at_joints: bool) -> float:
     start, aim = data.xpos[hand, 2], Aim(held, pull.rate, pull.bound, pull.damping)
     for _ in range(100):
         load = data.qfrc_bias[index.human_dof].copy()
-        besides = pull.passive * load
+        besides = who.controller.support(pull.passive, model, data, np)
         who.controller.human_motors.prepare(model, data, aim, load - besides, besides)
         mujoco.mj_step(model, data)
         who.after_step(data)

@@ -22,7 +22,7 @@ import agym_jax
 from agym_jax.errors import ImplementationError
 from agym_jax.human import limits
 from agym_jax.policy import baseline_policy
-from agym_jax.sim.c_mujoco import MOTION
+from agym_jax.sim.c_mujoco import BEARING, MOTION
 from agym_jax.sim.physics import choose_impl
 from agym_jax.sim.sensing import add_contacts, no_contacts, read_contacts, total_contacts
 from agym_jax.wrappers import vectorize
@@ -73,7 +73,9 @@ def _motion(native: agym_jax.Env, state: Any) -> dict[str, np.ndarray]:
 
 def _as_native(native: agym_jax.Env, state: Any, make_data: Any) -> Any:
     """A state of MJX with the same numbers in C MuJoCo's data."""
-    return state.replace(data=make_data.replace(**_motion(native, state)), info={})
+    poses = {x: np.asarray(getattr(state.data, x)) for x in BEARING}
+    poses["xmat"] = poses["xmat"].reshape(-1, 9)
+    return state.replace(data=make_data.replace(**_motion(native, state), **poses), info={})
 
 
 @pytest.mark.jit

@@ -176,10 +176,11 @@ class _Shadow:
         held = jnp.asarray(before.data.qpos)[index.human_qpos]
         target, _ = self.env.controller.human_target(before.episode, held, jnp.zeros(0))
         touch, contacts = no_contacts(index), 0
+        mujoco.mj_kinematics(self.model, d)
         for _ in range(self.env.task.control.frame_skip):
             q, v = d.qpos[index.human_qpos], d.qvel[index.human_dof]
             load, m = d.qfrc_bias[index.human_dof].copy(), self.muscles
-            besides = m.passive * load + np.asarray(
+            besides = controller.support(m.passive, self.model, d, np) + np.asarray(
                 self.limit_torque(*(jnp.asarray(x, jnp.float32) for x in (q, v)))
             )
             aim = Aim(np.asarray(target), m.rate, m.bound, m.damping)

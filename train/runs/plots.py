@@ -82,7 +82,8 @@ def plot_runs(
 
     Args:
         path: PNG file to write.
-        runs: from ``training_summary``; ``mark`` is put behind the name, where there is one.
+        runs: from ``training_summary``; ``mark`` is put behind the name, where there is one. The panel of a run in
+            which no episode ended stays empty.
         about: text to keep in the file, key -> value.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -99,7 +100,7 @@ def plot_runs(
     for panel in panels.flat[len(runs) :]:
         panel.set_visible(False)
     for number, (panel, run) in enumerate(zip(panels.flat, runs, strict=False)):
-        curve = run["curve"]
+        curve = run["curve"] or {"env_steps": [], "success": []}
         steps = [x / 1e6 for x in curve["env_steps"]]
         for low, high, colour, alpha in (
             ("success_min", "success_max", RANGE, 0.75), ("success_low", "success_high", BAND, 0.6),

@@ -1,0 +1,75 @@
+"""What a seated person's arm weighs on the girdle, which bears it as ligaments do, see ``human.muscles``.
+
+Gravity alone: MuJoCo's ``qfrc_bias`` also has what the arm's motion asks for, and a girdle that gave that too would do work on an
+arm that moves fast. It would speed up until the simulation explodes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)  # has arrays in it: equal if identical
+class Girdle:
+    """The joints of one or both girdles, and what hangs on them.
+
+    Attributes:
+        rows: of the person's joints (n,).
+        joints: the same, in the model (n,).
+        bodies: of the person, that hang on any of them (n_bodies,).
+        bears: whether a joint bears a body, float (n, n_bodies).
+        count: of the person's joints.
+        gravity: acceleration [m/s2].
+    """
+
+    rows: np.ndarray
+    joints: np.ndarray
+    bodies: np.ndarray
+    bears: np.ndarray
+    count: int
+    gravity: float
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, joints: np.ndarray, names: tuple[str, ...]) -> Girdle | None:
+        """Of a scene's joints of the person, which have these names; None where none of them is of a girdle."""
+        rows = np.array([i for i, name in enumerate(names) if "clavicle" in name], int)
+        if not len(rows):
+            return None
+        own = np.asarray(joints)[rows]
+        below = [_hangs_on(model, int(body)) for body in model.jnt_bodyid[own]]
+        bodies = np.flatnonzero(np.any(below, axis=0))
+        bears = np.array(below)[:, bodies].astype(np.float32)
+        return cls(rows, own, bodies, bears, len(names), -float(model.opt.gravity[2]))
+
+    def weight(self, model: Any, data: Any, xp: Any = jnp) -> Any:
+        """Torque that balances the weight, 0 for joints that are no girdle's [N m] (..., n_person).
+
+        Args:
+            model: ``body_mass`` (..., nbody) and ``body_ipos`` (..., nbody, 3) of this person.
+            data: ``xpos``, ``xmat``, ``xanchor`` and ``xaxis`` of one moment, world.
+            xp: numpy or jax.numpy.
+        """
+        mass = model.body_mass[..., self.bodies]
+        turn = data.xmat.reshape(*data.xpos.shape, 3)[..., self.bodies, :2, :]
+        offset = xp.einsum("...bij,...bj->...bi", turn, model.body_ipos[..., self.bodies, :])
+        centre = data.xpos[..., self.bodies, :2] + offset
+        moment = xp.einsum("jb,...b,...bi->...ji", self.bears, mass, centre)
+        lever = moment - (mass @ self.bears.T)[..., None] * data.xanchor[..., self.joints, :2]
+        axis = data.xaxis[..., self.joints, :]
+        torque = self.gravity * (axis[..., 0] * lever[..., 1] - axis[..., 1] * lever[..., 0])
+        place = np.zeros((len(self.rows), self.count), np.float32)
+        place[np.arange(len(self.rows)), self.rows] = 1.0
+        return torque @ place
+
+
+def _hangs_on(model: mujoco.MjModel, body: int) -> np.ndarray:
+    """Which bodies are this one or below it (nbody,)."""
+    found = np.arange(model.nbody) == body
+    for i in range(body + 1, model.nbody):  # parents come first
+        found[i] = found[model.body_parentid[i]]
+    return found

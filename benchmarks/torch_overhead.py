@@ -65,7 +65,7 @@ def measure(config: OverheadConfig) -> dict[str, Any]:
     def plain() -> None:
         state = envs.state
         for array in arrays:
-            state, *_ = envs.step_state(state, array)
+            state, _ = envs.step_state(state, array)
         jax.block_until_ready(state.obs)
 
     def in_torch() -> None:

@@ -22,7 +22,7 @@ from agym_jax.adapters.vector import GymnasiumVectorEnv
 
 pytestmark = pytest.mark.torch
 torch = pytest.importorskip("torch", reason='needs pip install "agym_jax[torch,rl]"')
-from agym_jax.adapters.torch import TorchVectorEnv  # noqa: E402
+from agym_jax.adapters.torch import TorchVectorEnv, packed  # noqa: E402
 
 NAME = "ReachingJaco-v0"
 B, T = 3, 200
@@ -74,6 +74,19 @@ def test_tensors_lie_where_the_state_does(envs):
     assert envs.clocks.tolist() == [5, 198, 0]
     assert not envs.step(action)[3].any()
     assert envs.step(action)[3].tolist() == [False, True, False]
+
+
+@pytest.mark.jit
+def test_what_an_accelerator_packs_is_told_apart_again(envs, monkeypatch):
+    envs.reset(seed=0)
+    envs.clocks = torch.tensor([T - 1, 0, T - 1])
+    _, told = envs.step_state(envs.state, envs.array(random_actions(1)[0]))
+    own = envs._tensors(told)
+    monkeypatch.setattr(envs, "_native", False)
+    for mine, theirs in zip(envs._tensors(packed(told)), own, strict=True):
+        assert mine.dtype == theirs.dtype and mine.is_contiguous()
+        np.testing.assert_array_equal(mine, theirs)
+    assert own[-1].tolist() == [True, False, True]
 
 
 @dataclass

@@ -4,7 +4,8 @@
 
 Run it with the Python in which Assistive Gym was built (CONTRIBUTING.md says how) and its folder on the Python path; of
 agym_jax it needs this file and the policy alone, and of other packages NumPy. Each episode is one of Assistive Gym's own,
-its result follows from the seed. The policy acts by the mode of its distribution and sees what it would see here: joints that turn
+its result follows from the seed: the joint limits at which Assistive Gym puts people's joints back, which it keeps from
+the first person of a process, are each person's own here. The policy acts by the mode of its distribution and sees what it would see here: joints that turn
 freely begin in [-pi, pi), quaternions are wxyz and do not jump.
 """
 
@@ -113,11 +114,12 @@ def make_env(task: str, robot: str) -> Any:
 
 
 def reset(env: Any, seed: int) -> np.ndarray:
-    """An episode that follows from the seed alone; Assistive Gym seeds parts of itself elsewhere."""
+    """An episode that follows from the seed alone; Assistive Gym seeds parts of itself elsewhere, and keeps limits."""
     random = np.random.RandomState(seed)
     world = env.world_creation
     for part in (env, world, env.util, world.human_creation):
         part.np_random = random
+    env.human_joint_lower_limits = env.human_joint_upper_limits = None  # not the last person's
     return np.asarray(env.reset(), float)
 
 

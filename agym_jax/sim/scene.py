@@ -10,7 +10,9 @@ forearm of the robot, the limbs that a task names, the right armrest or the matt
 the nightstand (``sim.contacts``). Nothing meets the rest of the furniture or of the robot; AG uses convex meshes of everything. In
 AG a ScratchItchJaco policy touched the wheelchair in up to 9 % of its steps, with 1 to 6 N, most of it at the armrest.
 DEVIATION(hard-limits): human joint limits are MuJoCo's limit constraints; AG resets the joint, as ``Population(masses="ag")``
-does besides.
+does besides. AG does so at the limits of the first person that its process has met, whoever the person is: after one whose limits were 0.1 % narrower a woman's
+girdle was put back in every physics step, and her elbow moved 10 cm within 0.3 s of the start, 1 cm with her own. In AG a joint at its limit is let go in every other step:
+an elbow swung beyond it in 36 to 60 % of the steps of three episodes, a girdle in 0 to 24 %.
 """
 
 from __future__ import annotations

@@ -48,7 +48,13 @@ class Person:
 
     @classmethod
     def lying(
-        cls, sex: int, base: np.ndarray, angles: np.ndarray, at_joints: bool, task: str
+        cls,
+        sex: int,
+        base: np.ndarray,
+        angles: np.ndarray,
+        at_joints: bool,
+        task: str,
+        limit_scale: float = 1.0,
     ) -> Person:
         """Somebody of AG's size.
 
@@ -58,13 +64,14 @@ class Person:
             angles: of every joint [rad] (41,).
             at_joints: whether masses are AG's.
             task: whose scene it is.
+            limit_scale: of the joints' range.
         """
         spec, scene = TASKS[task].human, build_scene(TASKS[task], ROBOTS["Jaco"])
         controller = Controller.of(scene, TASKS[task], False, "ag" if at_joints else "body")
         model = copy.copy(controller.model_of(scene.model))
         index, d = scene.index, anthropometry.dims(float(sex))
         pose = human_pose.BodyPose(base[:3], base[[6, 3, 4, 5]], angles)
-        rows = human_pose.rows(spec, pose, d, scene.moving, 1.0, np, float(at_joints))
+        rows = human_pose.rows(spec, pose, d, scene.moving, limit_scale, np, float(at_joints))
         for ids, kept, names in (
             (index.human_body, index.human_row, ("body_pos", "body_quat", "body_mass", "body_ipos", "body_inertia")),
             (index.human_geom, index.shape_row, ("geom_size", "geom_pos", "geom_rbound")),

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
@@ -65,3 +67,25 @@ def test_an_id_that_assistive_gym_has_not_is_refused():
         SystemExit, match=r"'ReachingJaco-v0' is not an id of Assistive Gym.*Dressing"
     ):
         ag.parse("ReachingJaco-v0")
+
+
+def test_an_episode_follows_from_its_seed_alone():
+    class Env:
+        """Assistive Gym's attributes that ``reset`` sets, and limits that a former episode has left."""
+
+        def __init__(self):
+            self.human_joint_lower_limits = self.human_joint_upper_limits = [0.0]
+            self.util, self.np_random = SimpleNamespace(), None
+            self.world_creation = SimpleNamespace(human_creation=SimpleNamespace())
+
+        def reset(self) -> np.ndarray:
+            assert self.human_joint_lower_limits is None and self.human_joint_upper_limits is None
+            parts = (self, self.util, self.world_creation, self.world_creation.human_creation)
+            assert all(x.np_random is self.np_random for x in parts)
+            return self.np_random.uniform(size=3)
+
+    env = Env()
+    first = ag.reset(env, 3)
+    env.human_joint_lower_limits = env.human_joint_upper_limits = [1.0]
+    np.testing.assert_array_equal(ag.reset(env, 3), first)
+    assert not np.array_equal(ag.reset(env, 4), first)

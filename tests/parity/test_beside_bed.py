@@ -1,0 +1,34 @@
+# ruff: noqa: D103
+"""The nightstand is where Assistive Gym's is, for the robot's arm and for the person's."""
+
+from __future__ import annotations
+
+import numpy as np
+from parity_rows import assert_rows_hold_or_name_a_deviation
+
+from benchmarks.parity import beside_bed
+from benchmarks.parity.row import traces
+
+
+def test_rows_hold_or_name_a_deviation():
+    assert_rows_hold_or_name_a_deviation(beside_bed.rows())
+
+
+def test_jacos_third_link_lies_on_the_edge_where_it_does_in_assistive_gym():
+    ours, ag = beside_bed.robot_distances()
+    lies = np.abs(ag) < 0.001
+    assert lies.sum() > 10
+    # with the link's other capsule, 7 mm thinner, 7 mm
+    assert np.abs(np.median(ours[lies])) < 0.003 and ours[lies].max() < 0.003
+
+
+def test_a_hanging_arm_meets_the_nightstand_where_it_does_in_assistive_gym():
+    ours, ag = beside_bed.person_distances()
+    # with the box that the robot meets, 23 mm
+    assert np.abs(np.median(ours - ag)) < 0.004 and np.abs(ours - ag).max() < 0.01
+
+
+def test_a_push_moves_the_limp_arm_and_a_harder_one_farther():
+    for moved in (beside_bed.moved(), traces("beside_bed")["push_moved"]):
+        forces = [np.median(beside_bed.reached(moved, far)) for far in (0.01, 0.02, 0.04)]
+        assert 0.5 < forces[0] < forces[1] < forces[2] < 20.0

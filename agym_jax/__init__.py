@@ -73,10 +73,11 @@ def make(
     """
     from agym_jax.changes import change_task
     from agym_jax.env import AssistiveEnv
-    from agym_jax.jax_settings import enable_compilation_cache
+    from agym_jax.jax_settings import enable_compilation_cache, run_inline
     from agym_jax.registry import parse
 
     enable_compilation_cache()
+    run_inline()
     recipe = parse(name)
     task = change_task(recipe.task, config, episode_length)
     return AssistiveEnv(task, recipe.robot, recipe.active, impl, humans, num_envs, robot)

@@ -174,8 +174,7 @@ class NativeVectorEnv(VectorEnv):
                 if not len(finished):
                     return fields, None
                 keys, keys_next = rows.split(slot, np.asarray(state.key[part])[finished])
-                now = jax.tree.map(lambda x: np.asarray(x)[part], state.episode)
-                fresh = rows.reset(slot, keys, finished, now) | {"key": keys_next}
+                fresh = rows.reset(slot, keys, finished) | {"key": keys_next}
                 return fields, (finished + part.start, fresh)
 
         steps, resets = zip(*self._pool.map(step, *zip(*self._slots, strict=True)), strict=True)

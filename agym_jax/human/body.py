@@ -27,7 +27,7 @@ import numpy as np
 
 from agym_jax.errors import UnknownNameError
 from agym_jax.human.anthropometry import Dims
-from agym_jax.math3d import axis_angle_quat, quat_mul, rotate
+from agym_jax.math3d import axis_angle_quat, joined, quat_mul, rotate
 
 Array = Any
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -318,7 +318,7 @@ def fields(
     world: dict[str, tuple[Array, Array]] = {}  # poses of links that do not move
     zero = 0.0 * d.mass
     for link in LINKS:
-        pivots = [xp.stack([xp.asarray(c) for c in o]) for o in offsets(link.name, d)]
+        pivots = [joined(o, xp) for o in offsets(link.name, d)]
         if not link.parent:
             pos, quat = xp.asarray(root) + pivots[0], xp.asarray(root_quat) + zero
         elif is_free(link, free):
@@ -337,17 +337,17 @@ def fields(
         rows["body_quat"].append(quat)
     shapes = [shape(name, d) for name in SHAPES]
     radius, half = (
-        xp.stack([xp.asarray(x) for x in values])
+        joined(values, xp)
         for values in ([s.radius for s in shapes], [s.length / 2 for s in shapes])
     )
     masses = [link.mass * d.mass for link in LINKS]
     own = list(zip(shapes[: len(LINKS)], masses, strict=True))
-    inertia = xp.stack([xp.stack(solid_inertia(s, m)) for s, m in own])
-    boxes = xp.stack([xp.stack(box_inertia(s, m)) for s, m in own])
+    inertia = xp.stack([joined(solid_inertia(s, m), xp) for s, m in own])
+    boxes = xp.stack([joined(box_inertia(s, m), xp) for s, m in own])
     at = xp.asarray(at_joints)
-    mass = xp.stack([xp.asarray(m) for m in masses])
-    ag_mass = xp.stack([xp.asarray(AG_MASS.get(x.name, x.mass) * d.mass) for x in LINKS])
-    centre = xp.stack([xp.stack([xp.asarray(c) for c in s.centre]) for s in shapes])
+    mass = joined(masses, xp)
+    ag_mass = joined([AG_MASS.get(x.name, x.mass) * d.mass for x in LINKS], xp)
+    centre = xp.stack([joined(s.centre, xp) for s in shapes])
     moving = tuple(j.name for link in LINKS if is_free(link, free) for j in link.joints)
     return BodyFields(
         body_pos=xp.stack(rows["body_pos"]),

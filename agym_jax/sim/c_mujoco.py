@@ -15,7 +15,6 @@ import copy
 import dataclasses
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, Protocol
 
@@ -28,84 +27,22 @@ from mujoco.batch import Batch, SimulationError
 
 from agym_jax.human.muscles import Muscles
 from agym_jax.sense import Motion
+from agym_jax.sim.columns import Columns, Program, aligned
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import model_fields
+from agym_jax.sim.native_data import BEARING, MOTION, POSES, SAMPLED, NativeData, layout_of
 from agym_jax.sim.native_drive import FORCES, DriveProgram, afterwards
 from agym_jax.sim.scene import Scene
 from agym_jax.sim.sensing import ContactSums, motion_of, read_contacts, sample_poses, total_contacts
-from agym_jax.state import MOVING, Episode, strong
+from agym_jax.state import MOVING, Episode
 
 ROWS = (32, 32)
 """Of the slot of a single environment, and of those of a batch, unless the task has its own ``cpu_rows``. More spare calls;
 fewer spare the arithmetic of rows that are empty. Between slots of different size results differ by rounding."""
 QUICKLY = {"xla_backend_optimization_level": 0}
 """How to compile what runs once an episode."""
-Layout = tuple[tuple[str, int, int, tuple[int, ...]], ...]
-"""Name, start, stop and shape of each field in ``NativeData.numbers``."""
-MOTION = ("qpos", "qvel", "qacc_warmstart", "qfrc_bias", "M")
-"""Fields that decide what happens next, with those of ``BEARING``."""
-POSES = ("xpos", "xmat", "xquat", "xanchor", "xaxis", "site_xpos", "geom_xpos", "geom_xmat")
-"""Fields that ``sense`` reads besides."""
-BEARING = ("xpos", "xmat", "xanchor", "xaxis")
-"""Fields that tell what the arm of a seated person weighs."""
-SAMPLED = ("site_xpos", "xquat", "xpos", "xmat")
-"""Fields that ``sample_poses`` reads after every physics step."""
 People = Any
 """Of an episode all that stays as it was drawn: ``Episode`` without what is ``MOVING``."""
-
-
-def _field(name: str) -> Any:
-    """A property: the part of ``numbers`` that has this name."""
-
-    def view(data: NativeData) -> Any:
-        start, stop, shape = next(x[1:] for x in data.layout if x[0] == name)
-        part = data.numbers[..., start:stop]
-        return part.reshape(*part.shape[:-1], *shape)
-
-    return property(view, doc=f"``{name}`` of ``MjData``.")
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class NativeData:
-    """Environments of C MuJoCo: what matters of ``MjData``, under the same names, with the leading axes of ``numbers``.
-
-    It lies in one array, because each array that enters a compiled function costs some microseconds.
-    """
-
-    numbers: Any  # float64 (..., n)
-    layout: Layout = dataclasses.field(metadata={"static": True})
-
-    qpos = _field("qpos")  # [rad]                                            (nq,)
-    qvel = _field("qvel")  # [rad/s]                                          (nv,)
-    qacc_warmstart = _field("qacc_warmstart")  # where the solver begins      (nv,)
-    qfrc_bias = _field("qfrc_bias")  # gravity and inertial torque [N m]      (nv,)
-    M = _field("M")  # inertia matrix, sparse, of the last physics step       (nC,)
-    xpos = _field("xpos")  # of bodies, world [m]                             (nbody, 3)
-    xmat = _field("xmat")  #                                                  (nbody, 9)
-    xquat = _field("xquat")  # wxyz                                           (nbody, 4)
-    xanchor = _field("xanchor")  # of joints, world [m]                       (njnt, 3)
-    xaxis = _field("xaxis")  #                                                (njnt, 3)
-    site_xpos = _field("site_xpos")  # world [m]                              (nsite, 3)
-    geom_xpos = _field("geom_xpos")  # world [m]                              (ngeom, 3)
-    geom_xmat = _field("geom_xmat")  #                                        (ngeom, 9)
-
-    def replace(self, **changes: Any) -> NativeData:
-        """A copy with some fields changed."""
-        copy = NativeData(np.array(self.numbers), self.layout)
-        for name, value in changes.items():
-            getattr(copy, name)[...] = value
-        return copy
-
-
-def layout_of(d: mujoco.MjData, names: tuple[str, ...] = (*MOTION, *POSES)) -> Layout:
-    """Where the fields of one environment lie in an array of numbers."""
-    layout, start = [], 0
-    for name in names:
-        field = getattr(d, name)
-        layout.append((name, start, start + field.size, field.shape))
-        start += field.size
-    return tuple(layout)
 
 
 class Watcher(Protocol):
@@ -150,9 +87,9 @@ class NativePhysics:
         def written(people: People) -> tuple[dict[str, Array], Muscles]:
             muscles = controller.muscles(people.human)
             own = controller.contact_fields(scene.model, people.human)
-            return strong((model_fields(scene, scene.model, people, muscles) | own, muscles))
+            return model_fields(scene, scene.model, people, muscles) | own, muscles
 
-        self.written = jax.jit(jax.vmap(written), compiler_options=QUICKLY)
+        self.written = Program(written, options=QUICKLY)
         self.drive = DriveProgram(controller, self.model)
         self.after_step = jax.jit(jax.vmap(afterwards(controller)))
 
@@ -192,9 +129,9 @@ class NativePhysics:
         """One control step of one environment. Its ``qpos`` are NaN if it goes non-finite."""
         with self.alone.lock:
             self.alone.load(jax.tree.map(lambda x: np.asarray(x)[None], episode), slice(0, 1))
-            whole = lambda x: self.alone.fill(np.asarray(x, np.float32)[None])  # noqa: E731
-            targets = jax.tree.map(whole, targets)
-            numbers, sensors, samples = self.alone.step(data.numbers[None], targets)
+            single = jax.tree.map(lambda x: np.asarray(x, np.float32)[None], targets)
+            columns = Columns.of(single, self.alone.rows)
+            numbers, sensors, samples = self.alone.step(data.numbers[None], columns)
             contacts, motion = self.sums(sensors[0], samples[0], np)
             return NativeData(numbers[0], self.layout), contacts, motion
 
@@ -229,15 +166,16 @@ class Slot:
         self.batch = batch = Batch(physics.model, rows, 1, persistent)
         batch.warning[:] = 1  # MuJoCo logs a first warning into the current folder
         self._own: list[Any] = []  # leaves of the episodes that are loaded
-        self._parts: list[np.ndarray] = []  # the same, of this slot's rows
-        self.people: Any = None
-        self.muscles: Muscles | None = None
+        self._packed: np.ndarray | None = None  # the same, of this slot's rows
+        self.people: Any = None  # Columns of this slot's ``People``, on the device
+        self.written: Any = None  # Columns of what ``physics.written`` makes of them
+        self.muscles: Any = None  # theirs, in NumPy
         self._solref = batch.expand("dof_solref")
         self._state = {name: batch.bind(name) for name in MOTION[:3]}
         self._applied = batch.bind("qfrc_applied")
         outputs = ("M", "qfrc_bias", "sensordata", *FORCES, *POSES)
         self._out = {name: batch.bind(name).reshape(rows, -1) for name in outputs}
-        self._drive_input = np.zeros((rows, physics.drive.inputs), np.float32)
+        self._drive_input = aligned((rows, physics.drive.inputs))
 
     def load(self, episode: Episode, part: slice) -> None:
         """Write the people of these rows into the model, where they are not yet.
@@ -247,28 +185,54 @@ class Slot:
             part: which of them are this slot's rows, from the first on.
         """
         people = people_of(episode)
-        leaves, tree = jax.tree.flatten(people)
+        leaves = jax.tree.leaves(people)
         if len(leaves) == len(self._own) and all(
             a is b for a, b in zip(leaves, self._own, strict=True)
         ):
             return
-        parts = [self.fill(np.asarray(x)[part]) for x in leaves]
-        changed = np.full(self.rows, not self._parts)
-        for new, old in zip(parts, self._parts, strict=False):
-            changed |= (new != old).reshape(self.rows, -1).any(axis=1)
-        self._own, self._parts = leaves, parts
+        self._own = leaves
+        self._write(Columns.of(people, self.rows, part))
+
+    def write(self, people: People, rows: np.ndarray | None = None) -> None:
+        """Write other people into the model.
+
+        Args:
+            people: of environments (n, ...).
+            rows: theirs (n,), while the others keep theirs; by default the first ones.
+        """
+        columns = Columns.of(people, self.rows, rows=rows)
+        if rows is not None and self._packed is not None:
+            others = np.isin(np.arange(self.rows), rows, invert=True)
+            columns.array[others] = self._packed[others]
+        self._own = []
+        self._write(columns)
+
+    def _write(self, columns: Columns) -> None:
+        changed = np.full(self.rows, self._packed is None)
+        if self._packed is not None:
+            changed |= (self._packed != columns.array).any(axis=1)
+        self._packed = columns.array
         if not changed.any():
             return
-        self.people = jax.device_put(jax.tree.unflatten(tree, parts))
-        fields, self.muscles = self.physics.written(self.people)
+        self.people = columns.on_device()
+        self.written = self.physics.written(self.people)
+        fields, self.muscles = self.written.tree()
         for name, value in fields.items():
-            self.batch.expand(name)[changed] = np.asarray(value)[changed]
+            self.batch.expand(name)[changed] = value[changed]
 
     def fill(self, x: np.ndarray) -> np.ndarray:
         """All rows of an array: those that are missing as the first (rows, ...)."""
         if len(x) == self.rows:
             return x
         return np.concatenate([x, np.broadcast_to(x[:1], (self.rows - len(x), *x.shape[1:]))])
+
+    def narrow(self, numbers: np.ndarray) -> np.ndarray:
+        """``NativeData.numbers`` for compiled programs: all rows, float32 (rows, all)."""
+        n, narrow = len(numbers), aligned((self.rows, numbers.shape[1]))
+        with np.errstate(over="ignore"):
+            narrow[:n] = numbers
+        narrow[n:] = narrow[0]
+        return narrow
 
     def reset(self, where: np.ndarray) -> np.ndarray:
         """Environments at rest as the loaded episodes begin.
@@ -284,14 +248,15 @@ class Slot:
         for field in self._state.values():
             field[:] = 0.0
         qpos[:] = self.physics.model.qpos0
-        qpos[:, index.robot_qpos] = np.asarray(self.people.placement.arm_angles)
-        qpos[:, index.human_qpos] = np.asarray(self.people.human_angles)
+        people = self.people.tree()
+        qpos[:, index.robot_qpos] = people.placement.arm_angles
+        qpos[:, index.human_qpos] = people.human_angles
         self.batch.forward(np.flatnonzero(where), mujoco.mjtStage.mjSTAGE_POS.value)
         zero = np.zeros_like(self._out["M"]), np.zeros_like(self._out["qfrc_bias"])
         return self._numbers(*zero)[:n]
 
     def step(
-        self, numbers: np.ndarray, targets: ControlTargets
+        self, numbers: np.ndarray, targets: Columns
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """One control step of the environments that are loaded.
 
@@ -299,7 +264,7 @@ class Slot:
 
         Args:
             numbers: of ``NativeData`` (n, all), n at most ``rows``.
-            targets: to the joints (rows, ...).
+            targets: ``ControlTargets`` (rows, ...).
 
         Returns:
             Numbers after it (n, all), and of each physics step the contact sensors (n, steps, nsensordata) and
@@ -311,18 +276,19 @@ class Slot:
             field[:n] = getattr(data, name)
         given = [data.qpos, data.qvel, data.M, data.qfrc_bias]
         poses = {name: self.fill(getattr(data, name)) for name in BEARING}
-        alive, watcher = np.ones(n, bool), physics.watcher
-        sensors = np.zeros((self.rows, steps, self._out["sensordata"].shape[1]), np.float32)
-        samples = np.zeros((self.rows, steps + 1, physics.sampled[-1][2]), np.float32)
+        alive, watcher, asked = np.ones(n, bool), physics.watcher, targets.tree()
+        sensors = aligned((self.rows, steps, self._out["sensordata"].shape[1]))
+        samples = aligned((self.rows, steps + 1, physics.sampled[-1][2]))
+        sensors[:] = samples[:] = 0.0
         with np.errstate(over="ignore", invalid="ignore"):
             last = physics.drive.first(self._drive_input, given)
             for k in range(steps):
-                drive = physics.drive(self._drive_input, last, targets, self.muscles)
+                drive = physics.drive(self._drive_input, last, targets, self.written)
                 alive &= drive.sound[:n]
                 if not alive.any():
                     break
                 if watcher:
-                    watcher.before(batch.get_data(0), np.asarray(targets.load)[0])
+                    watcher.before(batch.get_data(0), asked.load[0])
                 drive.write(self._state, self._applied, self._solref)
                 self._bear(poses)
                 self._step(alive)
@@ -335,7 +301,7 @@ class Slot:
                 physics.drive.gather(self._drive_input, self._state, self._out)
                 poses = self._out
             alive &= self._sound()[:n]
-            inertia, bias = self._out["M"].copy(), physics.drive.bias(last, targets, self._out)
+            inertia, bias = self._out["M"].copy(), physics.drive.bias(last, asked, self._out)
             if alive.any():
                 self.batch.forward(np.flatnonzero(alive), mujoco.mjtStage.mjSTAGE_POS.value)
             self._sample(None, samples[:, steps])
@@ -361,11 +327,11 @@ class Slot:
     def _bear(self, poses: Mapping[str, np.ndarray]) -> None:
         """Add what bears the arms of seated people, given where everything is (rows, ...)."""
         controller = self.physics.controller
-        if controller.girdle is None or self.muscles is None:
+        if controller.girdle is None:
             return
         model = {name: self.batch.expand(name) for name in ("body_mass", "body_ipos")}
         data = {name: poses[name].reshape(self.rows, -1, 3) for name in BEARING}
-        passive = np.asarray(self.muscles.passive)
+        passive = self.muscles.passive
         support = controller.support(passive, SimpleNamespace(**model), SimpleNamespace(**data), np)
         self._applied[:, self.physics.scene.index.human_dof] += support
 
@@ -383,8 +349,8 @@ class Slot:
 
     def _stop_at_joints(self, alive: np.ndarray) -> None:
         """What ``Controller.after_step`` makes of the joints of people with AG's masses."""
-        index, at_joints = self.physics.scene.index, self.people.human.at_joints
-        rows = np.flatnonzero(alive & (np.asarray(at_joints)[: len(alive)] > 0.0))
+        index, at_joints = self.physics.scene.index, self.people.tree().human.at_joints
+        rows = np.flatnonzero(alive & (at_joints[: len(alive)] > 0.0))
         names = ("geom_size", "jnt_range")
         model = {name: self.batch.expand(name).astype(np.float32) for name in names}
         fields = {name: x.astype(np.float32) for name, x in (self._state | self._out).items()}

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 
 from agym_jax.human.muscles import Muscles
-from agym_jax.jax_settings import full_precision
+from agym_jax.sim.columns import Columns, Program
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.motors import Aim, Drive
 
@@ -32,8 +32,8 @@ class Driven:
     """What the joints do in one physics step, one environment a row."""
 
     program: DriveProgram
-    result: Any  # of the program, on the device (rows, 5 nv + 1)
-    rows: np.ndarray  # the same
+    result: Columns  # of the program
+    rows: np.ndarray  # the same (rows, 5 nv + 1)
 
     @property
     def sound(self) -> np.ndarray:
@@ -64,7 +64,7 @@ class DriveProgram:
         self._ends = np.cumsum(sizes)
         self.inputs = int(self._ends[-1])
         self._solref = model.dof_solref.astype(np.float32)
-        self._run = jax.jit(full_precision(self._rows))
+        self._run = Program(self._rows, rows=True)
         self._nothing: dict[int, Driven] = {}
 
     def first(self, inputs: np.ndarray, given: list[np.ndarray]) -> Driven:
@@ -87,7 +87,7 @@ class DriveProgram:
         """What stands for the physics step before the first one, of so many rows."""
         if count not in self._nothing:
             rows = np.zeros((count, 5 * self.nv + 1), np.float32)
-            self._nothing[count] = Driven(self, jnp.asarray(rows), rows)
+            self._nothing[count] = Driven(self, Columns.of(rows, count).on_device(), rows)
         return self._nothing[count]
 
     def gather(self, inputs: np.ndarray, state: State, out: State) -> None:
@@ -98,18 +98,24 @@ class DriveProgram:
         inputs[:, -1] = 0.0
 
     def __call__(
-        self, inputs: np.ndarray, last: Driven, targets: ControlTargets, muscles: Muscles | None
+        self, inputs: np.ndarray, last: Driven, targets: Columns, written: Columns
     ) -> Driven:
-        """What the joints do next."""
-        result = self._run(inputs, last.result, targets, muscles)
-        return Driven(self, result, np.asarray(result))
+        """What the joints do next.
+
+        Args:
+            inputs: from ``first`` or ``gather`` (rows, inputs).
+            last: what they did before.
+            targets: ``ControlTargets``.
+            written: from ``NativePhysics.written``.
+        """
+        result = self._run(inputs, last.result, targets, written)
+        return Driven(self, result, result.tree())
 
     def bias(self, last: Driven, targets: ControlTargets, out: State) -> np.ndarray:
         """``qfrc_bias`` with, for the robot's joints, what their motors worked against [N m] (rows, nv)."""
         bias = out["qfrc_bias"].copy()
         forces = (out[name][:, self._robot] for name in FORCES)
-        besides, bound = jax.tree.map(np.asarray, (targets.load, targets.bound))
-        bias[:, self._robot] = self._load(last.rows, besides, bound, forces, np)
+        bias[:, self._robot] = self._load(last.rows, targets.load, targets.bound, forces, np)
         return bias
 
     def _load(self, rows: Any, besides: Any, bound: Any, forces: Iterable[Any], xp: Any) -> Any:
@@ -122,8 +128,9 @@ class DriveProgram:
         smooth, constraint, acceleration = forces
         return self._controller.motors.bias(drive, smooth, constraint, acceleration, xp)
 
-    def _rows(self, inputs: Array, last: Array, targets: ControlTargets, muscles: Any) -> Array:
+    def _rows(self, inputs: Array, last: Array, targets: ControlTargets, written: Any) -> Array:
         """The program; all arguments have the leading axis of rows."""
+        _, muscles = written
         controller, index = self._controller, self._controller.index
         parts = jnp.split(inputs, self._ends[:-1], axis=1)
         qpos, qvel, inertia, bias, smooth, constraint, acceleration, fresh = parts

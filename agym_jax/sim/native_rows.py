@@ -11,10 +11,11 @@ import jax
 import numpy as np
 from jax import Array
 
-from agym_jax.human.regions import no_forces
-from agym_jax.jax_settings import full_precision
-from agym_jax.sim.c_mujoco import QUICKLY, NativeData, NativePhysics, Slot, people_of
+from agym_jax.human.regions import REGIONS, RegionForces
+from agym_jax.sim.c_mujoco import QUICKLY, ROWS, NativePhysics, Slot, people_of
+from agym_jax.sim.columns import Columns, Program
 from agym_jax.sim.episode import EpisodeSample, make_episode
+from agym_jax.sim.native_data import NativeData
 from agym_jax.state import MOVING, Episode, State, moved, raw_key
 
 
@@ -49,12 +50,11 @@ class NativeRows:
         self._action_size = action_size
         self.revise: Callable[[EpisodeSample], EpisodeSample] | None = None
         """What becomes of what was drawn before its episode begins, in NumPy; for people whom a user chooses."""
-        whole = lambda f, **how: jax.jit(jax.vmap(full_precision(f)), **how)  # noqa: E731
-        self._sample = whole(stages.sample, compiler_options=QUICKLY)
+        self._sample = Program(stages.sample, options=QUICKLY)
         self._preparing: dict[int, Thread] = {}
-        self._init_task = whole(self._begin)
-        self._targets = whole(self._aim)
-        self._evaluate = whole(self._finish)
+        self._init_task = Program(self._begin)
+        self._targets = Program(self._aim)
+        self._evaluate = Program(self._finish, small=physics.rows == ROWS)  # others have matter
         self._split = jax.jit(jax.vmap(jax.random.split))
 
     @classmethod
@@ -70,51 +70,52 @@ class NativeRows:
 
     # -- what is compiled, for one environment ---------------------------------------------------
 
-    def _begin(self, key: Array, numbers: Array, episode: Episode) -> Any:
+    def _begin(self, people: Any, begins: tuple[Array, Any], numbers: Array) -> Any:
         data = NativeData(numbers, self.physics.layout)
-        return self._stages.init_task(key, data, episode)
+        key, moving = begins
+        return self._stages.init_task(key, data, _episode(people, moving))
 
-    def _aim(self, people: Any, moving: Any, numbers: Array, task: Any, action: Array) -> Any:
+    def _aim(self, people: Any, goes_on: tuple[Any, ...], numbers: Array) -> Any:
         data = NativeData(numbers, self.physics.layout)
+        moving, task, _, action = goes_on
         return self._stages.targets(_episode(people, moving), data, task, action)
 
     def _finish(
-        self, people: Any, moving: Any, numbers: Array, sensors: Array, samples: Array,
-        task: Any, quats: Array, targets: Any,
+        self, people: Any, goes_on: tuple[Any, ...], numbers: Array, sensors: Array, samples: Array, targets: Any
     ) -> Any:  # fmt: skip
         data = NativeData(numbers, self.physics.layout)
         sums, motion = self.physics.sums(sensors, samples)
+        moving, task, quats, _ = goes_on
         episode = _episode(people, moving)
         return self._stages.evaluate(data, sums, motion, task, quats, episode, targets)
 
-    def _prepare(self, rows: int, key: np.ndarray, episode: Episode) -> None:
+    def _prepare(self, rows: int, episode: Episode, begins: Columns) -> None:
         """Compile what a step needs while the first reset goes on, in a thread.
 
         Args:
             rows: of the slot.
-            key: of a task (rows, 2).
             episode: any (rows, ...).
+            begins: the second argument of ``_begin``.
         """
         if rows not in self._preparing:
-            thread = Thread(target=self._compile_step, args=(rows, key, episode))
+            thread = Thread(target=self._compile_step, args=(rows, episode, begins))
             self._preparing.setdefault(rows, thread)
             thread.start()
 
-    def _compile_step(self, rows: int, key: np.ndarray, episode: Episode) -> None:
-        physics = self.physics
-        numbers = np.zeros((rows, physics.layout[-1][2]))
-        seen, _ = jax.eval_shape(self._init_task, key, numbers, episode)
-        people, moving = people_of(episode), _moving(episode)
-        _, muscles = jax.eval_shape(physics.written, people)
-        muscles, seen = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), (muscles, seen))
+    def _compile_step(self, rows: int, episode: Episode, begins: Columns) -> None:
+        physics, people = self.physics, Columns.of(people_of(episode), rows)
+        written = Columns.of(physics.written.shapes(people), rows)
+        numbers = np.zeros((rows, physics.layout[-1][2]), np.float32)
+        seen, _ = self._init_task.shapes(people, begins, numbers)
+        _, moving = begins.tree()
         action = np.zeros((rows, self._action_size), np.float32)
-        targets = self._targets(people, moving, numbers, seen["task"], action)
+        goes_on = Columns.of((moving, seen["task"], seen["quats"], action), rows)
+        targets = self._targets(people, goes_on, numbers)
         inputs = np.zeros((rows, physics.drive.inputs), np.float32)
-        physics.drive(inputs, physics.drive.nothing(rows), targets, muscles)
+        physics.drive(inputs, physics.drive.nothing(rows), targets, written)
         sensors = np.zeros((rows, physics.frame_skip, physics.model.nsensordata), np.float32)
         samples = np.zeros((rows, physics.frame_skip + 1, physics.sampled[-1][2]), np.float32)
-        told = numbers, sensors, samples, seen["task"], seen["quats"], targets
-        self._evaluate(people, moving, *told)
+        self._evaluate(people, goes_on, numbers, sensors, samples, targets)
 
     # -- rows of a slot --------------------------------------------------------------------------
 
@@ -123,46 +124,34 @@ class NativeRows:
         split = np.asarray(self._split(slot.fill(keys)))[: len(keys)]
         return split[:, 0], split[:, 1]
 
-    def reset(
-        self, slot: Slot, keys: np.ndarray, rows: np.ndarray | None = None, beside: Any = None
-    ) -> dict[str, Any]:
+    def reset(self, slot: Slot, keys: np.ndarray, rows: np.ndarray | None = None) -> dict[str, Any]:
         """Begin episodes.
 
         Args:
             slot: that takes them.
             keys: raw PRNG keys (n, 2), n at most the slot's.
-            rows: of the slot, in which they begin (n,); by default the first ones.
-            beside: with ``rows``, the episodes that all rows have been in: the others stay written in the slot.
+            rows: of the slot, in which they begin (n,), while the others stay as they are; by default the first ones.
 
         Returns:
             Fields of ``State`` (n, ...), without what a finished step leaves.
         """
         n = len(keys)
-        drawn, key_task, key = jax.device_get(self._sample(slot.fill(keys)))
-        each = [self._make_episode(jax.tree.map(lambda x, i=i: x[i], drawn)) for i in range(n)]
-        episode = jax.tree.map(lambda *x: np.stack(x), *each)
-        if rows is None:
-            rows, whole = np.arange(n), jax.tree.map(slot.fill, episode)
-        else:
-
-            def placed(old: Any, new: Any) -> np.ndarray:
-                whole = np.array(slot.fill(np.asarray(old)))
-                whole[rows] = new[:n]
-                return whole
-
-            key_task = placed(key_task, key_task)
-            whole = jax.tree.map(placed, beside, episode)
-        self._prepare(slot.rows, key_task, whole)
-        slot.load(whole, slice(0, slot.rows))
-        begins = np.zeros(slot.rows, bool)
-        begins[rows] = True
-        numbers = slot.reset(begins)
-        seen, success = jax.device_get(self._init_task(key_task, numbers, whole))
+        drawn = [self._sample(keys[i : i + 1]).tree() for i in range(n)]  # few begin together
+        drawn = [jax.tree.map(lambda x: x[0], x) for x in drawn]
+        each = [(self._make_episode(sample), *drawn_keys) for sample, *drawn_keys in drawn]
+        episode, key_task, key = jax.tree.map(lambda *x: np.stack(x), *each)
+        begins = Columns.of((key_task, _moving(episode)), slot.rows, rows=rows)
+        self._prepare(slot.rows, episode, begins)
+        slot.write(people_of(episode), rows)
+        rows = np.arange(n) if rows is None else rows
+        numbers = slot.reset(np.isin(np.arange(slot.rows), rows))
+        seen, success = self._init_task(slot.people, begins, slot.narrow(numbers)).tree()
         zero = np.zeros(n, np.float32)
         metrics = dict.fromkeys(self._metric_names, zero) | {"success": success[rows]}
         fields = {"reward": zero, "done": zero, "metrics": metrics, "episode": episode}
-        fields |= {"regions": jax.tree.map(lambda x: np.zeros((n, *x.shape), x.dtype), no_forces())}
-        fields |= jax.tree.map(lambda x: x[rows], seen) | {"key": key[:n]}
+        untouched: Any = np.zeros((n, 2, len(REGIONS)), np.float32)
+        fields |= {"regions": RegionForces(untouched)}
+        fields |= jax.tree.map(lambda x: x[rows], seen) | {"key": key}
         return fields | {"data": NativeData(numbers[rows], self.physics.layout)}
 
     def _make_episode(self, drawn: EpisodeSample) -> Episode:
@@ -183,20 +172,20 @@ class NativeRows:
         if slot.rows in self._preparing:
             self._preparing[slot.rows].join()
         n, episode = len(action), state.episode
-        rows = lambda tree: jax.tree.map(lambda x: slot.fill(np.asarray(x)[part]), tree)  # noqa: E731
         slot.load(episode, part)
         numbers = np.asarray(state.data.numbers)[part]
-        moving = rows(_moving(episode))
-        task, quats = rows((state.task, state.quats))
-        before = slot.fill(numbers)
-        targets = self._targets(slot.people, moving, before, task, slot.fill(action))
+        tree = (_moving(episode), state.task, state.quats)
+        goes_on = Columns.of(
+            (*jax.tree.map(lambda x: np.asarray(x)[part], tree), action), slot.rows
+        )
+        targets = self._targets(slot.people, goes_on, slot.narrow(numbers))
         numbers, sensors, samples = slot.step(numbers, targets)
         after, clock = self._evaluate(
-            slot.people, moving, slot.fill(numbers), sensors, samples, task, quats, targets
-        )
-        moving = dict(zip(MOVING, (targets.hold, clock, targets.sent), strict=True))
-        found = jax.tree.map(lambda x: np.asarray(x)[:n], after | moving)
-        return found | {"data": NativeData(numbers, self.physics.layout)}
+            slot.people, goes_on, slot.narrow(numbers), sensors, samples, targets
+        ).tree(n)
+        sent = targets.tree(n)
+        moving = dict(zip(MOVING, (sent.hold, clock, sent.sent), strict=True))
+        return after | moving | {"data": NativeData(numbers, self.physics.layout)}
 
     # -- one environment -------------------------------------------------------------------------
 

@@ -1,6 +1,6 @@
 """From a simulator's data to ``Sensed``: the only reader of ``mjx.Data``.
 
-Works on one environment of ``mjx.Data`` and, because the field names are the same, of ``c_mujoco.NativeData``
+Works on one environment of ``mjx.Data`` and, because the field names are the same, of ``native_data.NativeData``
 or C ``MjData``.
 
 DEVIATION(force-mean): contact forces are means over the physics steps of a control step, not

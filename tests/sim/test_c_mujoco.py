@@ -22,7 +22,7 @@ import agym_jax
 from agym_jax.errors import ImplementationError
 from agym_jax.human import limits
 from agym_jax.policy import baseline_policy
-from agym_jax.sim.c_mujoco import BEARING, MOTION
+from agym_jax.sim.native_data import BEARING, MOTION
 from agym_jax.sim.physics import choose_impl
 from agym_jax.sim.sensing import add_contacts, no_contacts, read_contacts, total_contacts
 from agym_jax.wrappers import vectorize

@@ -52,7 +52,7 @@ class NativeRows:
         """What becomes of what was drawn before its episode begins, in NumPy; for people whom a user chooses."""
         self._sample = Program(stages.sample, options=QUICKLY)
         self._preparing: dict[int, Thread] = {}
-        self._init_task = Program(self._begin)
+        self._init_task = Program(self._begin, options=QUICKLY)
         self._targets = Program(self._aim)
         self._evaluate = Program(self._finish, small=physics.rows == ROWS)  # others have matter
         self._split = jax.jit(jax.vmap(jax.random.split))

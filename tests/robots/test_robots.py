@@ -186,8 +186,10 @@ def test_file_loads_alone_and_stays_out_of_contacts(name: str, capfd: pytest.Cap
     assert model.nmesh == model.npair == model.nu == model.nkey == data.ncon == 0
     assert not model.geom_contype.any() and not model.geom_conaffinity.any()
     for i in range(model.ngeom):  # collision shapes have names, looks have none
-        solid = model.geom(i).name.endswith("_collision")
-        assert model.geom_group[i] == (3 if solid else 2) and bool(model.geom(i).name) == solid
+        title = model.geom(i).name
+        solid, corners = title.endswith("_collision"), title in ROBOTS[name].near_mount
+        assert model.geom_group[i] == (4 if corners else 3 if solid else 2)
+        assert bool(title) == (solid or corners)
     assert np.sum(model.body_parentid[1:] == 0) == 1 and model.body_jntnum[1] == 0  # one root
     np.testing.assert_array_equal([*model.body_pos[1], *model.body_quat[1]], (0, 0, 0, 1, 0, 0, 0))
 

@@ -30,6 +30,7 @@ from agym_jax.sense import Motion
 from agym_jax.sim.columns import Columns, Program, aligned
 from agym_jax.sim.control import Controller, ControlTargets
 from agym_jax.sim.episode import model_fields
+from agym_jax.sim.girdle import Burden, consecutive
 from agym_jax.sim.native_data import BEARING, MOTION, POSES, SAMPLED, NativeData, layout_of
 from agym_jax.sim.native_drive import FORCES, DriveProgram, afterwards
 from agym_jax.sim.scene import Scene
@@ -170,6 +171,7 @@ class Slot:
         self.people: Any = None  # Columns of this slot's ``People``, on the device
         self.written: Any = None  # Columns of what ``physics.written`` makes of them
         self.muscles: Any = None  # theirs, in NumPy
+        self._burden: Any = None  # what their girdles bear
         self._solref = batch.expand("dof_solref")
         self._state = {name: batch.bind(name) for name in MOTION[:3]}
         self._applied = batch.bind("qfrc_applied")
@@ -219,6 +221,11 @@ class Slot:
         fields, self.muscles = self.written.tree()
         for name, value in fields.items():
             self.batch.expand(name)[changed] = value[changed]
+        if girdle := self.physics.controller.girdle:
+            model = {name: self.batch.expand(name) for name in ("body_mass", "body_ipos")}
+            borne = self.muscles.passive[:, girdle.rows, None]  # those who are borne: 1, or 0
+            mass, total, centre = girdle.burden(SimpleNamespace(**model))
+            self._burden = Burden(borne * mass, borne * total, centre)
 
     def fill(self, x: np.ndarray) -> np.ndarray:
         """All rows of an array: those that are missing as the first (rows, ...)."""
@@ -326,14 +333,12 @@ class Slot:
 
     def _bear(self, poses: Mapping[str, np.ndarray]) -> None:
         """Add what bears the arms of seated people, given where everything is (rows, ...)."""
-        controller = self.physics.controller
-        if controller.girdle is None:
+        girdle = self.physics.controller.girdle
+        if girdle is None:
             return
-        model = {name: self.batch.expand(name) for name in ("body_mass", "body_ipos")}
-        data = {name: poses[name].reshape(self.rows, -1, 3) for name in BEARING}
-        passive = self.muscles.passive
-        support = controller.support(passive, SimpleNamespace(**model), SimpleNamespace(**data), np)
-        self._applied[:, self.physics.scene.index.human_dof] += support
+        data = SimpleNamespace(**{name: poses[name].reshape(self.rows, -1, 3) for name in BEARING})
+        dofs = consecutive(self.physics.scene.index.human_dof[girdle.rows])
+        self._applied[:, dofs] += girdle.torque(self._burden, data, np)
 
     def _sound(self) -> np.ndarray:
         """Where C MuJoCo can go on: all numbers are finite, and fit into float32 (rows,)."""

@@ -7,11 +7,19 @@ arm that moves fast. It would speed up until the simulation explodes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+
+
+class Burden(NamedTuple):
+    """What hangs on the joints of a girdle."""
+
+    mass: Any  # of each body, on each joint that bears it [kg]               (..., n, n_bodies)
+    total: Any  # [kg]                                                        (..., n, 1)
+    centre: Any  # of mass of each body, in its frame [m]                     (..., n_bodies, 3)
 
 
 @dataclass(frozen=True, eq=False)  # has arrays in it: equal if identical
@@ -54,17 +62,30 @@ class Girdle:
             data: ``xpos``, ``xmat``, ``xanchor`` and ``xaxis`` of one moment, world.
             xp: numpy or jax.numpy.
         """
-        mass = model.body_mass[..., self.bodies]
-        turn = data.xmat.reshape(*data.xpos.shape, 3)[..., self.bodies, :2, :]
-        offset = xp.einsum("...bij,...bj->...bi", turn, model.body_ipos[..., self.bodies, :])
-        centre = data.xpos[..., self.bodies, :2] + offset
-        moment = xp.einsum("jb,...b,...bi->...ji", self.bears, mass, centre)
-        lever = moment - (mass @ self.bears.T)[..., None] * data.xanchor[..., self.joints, :2]
-        axis = data.xaxis[..., self.joints, :]
-        torque = self.gravity * (axis[..., 0] * lever[..., 1] - axis[..., 1] * lever[..., 0])
         place = np.zeros((len(self.rows), self.count), np.float32)
         place[np.arange(len(self.rows)), self.rows] = 1.0
-        return torque @ place
+        return self.torque(self.burden(model), data, xp) @ place
+
+    def burden(self, model: Any) -> Burden:
+        """What hangs on the joints, from ``body_mass`` and ``body_ipos`` of this person."""
+        mass = self.bears * model.body_mass[..., None, self.bodies]
+        return Burden(mass, mass.sum(-1)[..., None], model.body_ipos[..., self.bodies, :])
+
+    def torque(self, burden: Burden, data: Any, xp: Any = jnp) -> Any:
+        """As ``weight``, of the girdle's joints alone (..., n)."""
+        bodies, joints = consecutive(self.bodies), consecutive(self.joints)
+        turn = data.xmat.reshape(*data.xpos.shape, 3)[..., bodies, :2, :]
+        offset = xp.einsum("...bij,...bj->...bi", turn, burden.centre)
+        moment = burden.mass @ (data.xpos[..., bodies, :2] + offset)
+        lever = moment - burden.total * data.xanchor[..., joints, :2]
+        axis = data.xaxis[..., joints, :]
+        return self.gravity * (axis[..., 0] * lever[..., 1] - axis[..., 1] * lever[..., 0])
+
+
+def consecutive(ids: np.ndarray) -> Any:
+    """Ids that follow each other as a slice, which NumPy need not copy."""
+    first, last = int(ids[0]), int(ids[-1])
+    return slice(first, last + 1) if last - first + 1 == len(ids) else ids
 
 
 def _hangs_on(model: mujoco.MjModel, body: int) -> np.ndarray:

@@ -109,7 +109,7 @@ class DriveProgram:
             written: from ``NativePhysics.written``.
         """
         result = self._run(inputs, last.result, targets, written)
-        return Driven(self, result, result.tree())
+        return Driven(self, result, np.asarray(result.array).view(np.float32))
 
     def bias(self, last: Driven, targets: ControlTargets, out: State) -> np.ndarray:
         """``qfrc_bias`` with, for the robot's joints, what their motors worked against [N m] (rows, nv)."""

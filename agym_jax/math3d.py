@@ -56,6 +56,9 @@ def quat_mul(a: Array, b: Array, xp: Any = jnp) -> Array:
 
 def axis_angle_quat(axis: Array, angle: Array, xp: Any = jnp) -> Array:
     """Quaternions (..., 4) of rotations about unit axes (..., 3) by angles [rad] (...)."""
+    if xp is np and np.ndim(angle) == 0 and np.ndim(axis) == 1:
+        half = angle / 2
+        return joined([np.cos(half), *(np.sin(half) * axis)], np)
     half = xp.asarray(angle)[..., None] / 2
     return xp.concatenate([xp.cos(half), xp.sin(half) * axis], -1)
 

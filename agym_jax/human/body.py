@@ -27,7 +27,7 @@ import numpy as np
 
 from agym_jax.errors import UnknownNameError
 from agym_jax.human.anthropometry import Dims
-from agym_jax.math3d import axis_angle_quat, joined, quat_mul, rotate
+from agym_jax.math3d import axis_angle_quat, joined, quat_mul, rotate, split
 
 Array = Any
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -317,6 +317,7 @@ def fields(
     rows: dict[str, list] = {name: [] for name in ("body_pos", "body_quat", "jnt_pos")}
     world: dict[str, tuple[Array, Array]] = {}  # poses of links that do not move
     zero = 0.0 * d.mass
+    bent = _bent(angles, free, limit_scale, zero, xp)
     for link in LINKS:
         pivots = [joined(o, xp) for o in offsets(link.name, d)]
         if not link.parent:
@@ -326,7 +327,7 @@ def fields(
             for i in range(len(link.joints)):
                 rows["jnt_pos"].append(-sum(pivots[i + 1 :], 0.0 * pivots[0]))
         else:
-            pos, quat = _welded(link, pivots, angles, limit_scale, xp)
+            pos, quat = _welded(link, pivots, bent, xp)
         if link.parent and not parent_in_model(link, free):
             parent_pos, parent_quat = world[link.parent]
             pos = parent_pos + rotate(parent_quat, pos, xp)
@@ -363,21 +364,26 @@ def fields(
     )
 
 
-def _welded(
-    link: Link, pivots: list, angles: Mapping[str, Array], limit_scale: Array, xp: Any
-) -> tuple[Array, Array]:
+def _bent(
+    angles: Mapping[str, Array], free: tuple[str, ...], limit_scale: Array, zero: Array, xp: Any
+) -> dict[str, Array]:
+    """Angles of the welded joints that are not 0 [rad]: as given, or the limit nearest to 0, as for a shoulder."""
+    welded = [j for link in LINKS if link.parent and not is_free(link, free) for j in link.joints]
+    names = tuple(j.name for j in welded if j.name in angles or not j.lower <= 0.0 <= j.upper)
+    if not names:
+        return {}
+    low, high = joint_limits(names, limit_scale, xp).T
+    wanted = joined([angles.get(name, zero) for name in names], xp)
+    return dict(zip(names, split(xp.clip(wanted, low, high)), strict=True))
+
+
+def _welded(link: Link, pivots: list, bent: Mapping[str, Array], xp: Any) -> tuple[Array, Array]:
     """Pose of a link in its parent's frame with its joints at fixed angles."""
     pos, quat = pivots[0], xp.asarray((1.0, 0.0, 0.0, 0.0))
     for i, joint in enumerate(link.joints):
         if i:
             pos = pos + rotate(quat, pivots[i], xp)
-        if joint.name in angles:
-            limits = joint_limits((joint.name,), limit_scale, xp)[0]
-            angle = xp.clip(angles[joint.name], limits[0], limits[1])
-        else:  # 0, or the limit nearest to it, as for a shoulder
-            limits = joint_limits((joint.name,), limit_scale, xp)[0]
-            if joint.lower <= 0.0 <= joint.upper:
-                continue
-            angle = xp.clip(0.0, limits[0], limits[1])
-        quat = quat_mul(quat, axis_angle_quat(np.array(joint.axis), angle, xp), xp)
+        if joint.name in bent:
+            turn = axis_angle_quat(np.array(joint.axis), bent[joint.name], xp)
+            quat = quat_mul(quat, turn, xp)
     return pos, quat

@@ -40,8 +40,8 @@ from agym_jax.state import MOVING, Episode
 ROWS = (32, 32)
 """Of the slot of a single environment, and of those of a batch, unless the task has its own ``cpu_rows``. More spare calls;
 fewer spare the arithmetic of rows that are empty. Between slots of different size results differ by rounding."""
-QUICKLY = {"xla_backend_optimization_level": 0}
-"""How to compile what runs once an episode."""
+QUICKLY, RATHER_QUICKLY = ({"xla_backend_optimization_level": level} for level in (0, 1))
+"""How to compile what runs once an episode; the latter what is much slower if it is not optimized at all."""
 People = Any
 """Of an episode all that stays as it was drawn: ``Episode`` without what is ``MOVING``."""
 

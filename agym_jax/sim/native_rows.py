@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from agym_jax.human.regions import REGIONS, RegionForces
-from agym_jax.sim.c_mujoco import QUICKLY, ROWS, NativePhysics, Slot, people_of
+from agym_jax.sim.c_mujoco import QUICKLY, RATHER_QUICKLY, ROWS, NativePhysics, Slot, people_of
 from agym_jax.sim.columns import Columns, Program
 from agym_jax.sim.episode import EpisodeSample, make_episode
 from agym_jax.sim.native_data import NativeData
@@ -52,7 +52,7 @@ class NativeRows:
         """What becomes of what was drawn before its episode begins, in NumPy; for people whom a user chooses."""
         self._sample = Program(stages.sample, options=QUICKLY)
         self._preparing: dict[int, Thread] = {}
-        self._init_task = Program(self._begin, options=QUICKLY)
+        self._init_task = Program(self._begin, options=RATHER_QUICKLY)
         self._targets = Program(self._aim)
         self._evaluate = Program(self._finish, small=physics.rows == ROWS)  # others have matter
         self._split = jax.jit(jax.vmap(jax.random.split))

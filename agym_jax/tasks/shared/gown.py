@@ -70,7 +70,9 @@ def load_starts(vertices: int) -> Starts:
 def arm_shapes(
     d: Dims, links: tuple[str, str, str], pos_w: dict[str, Array], rot_w: dict[str, Array]
 ) -> GridShapes:
-    """The arm as the gown meets it in AG: its links, then the spheres that AG adds at shoulder, elbow and wrist.
+    """The arm as the gown meets it in AG, with the spheres that AG adds at shoulder, elbow and wrist.
+
+    In the upper arm's frame that arm and the shoulder, in the forearm's frame that, the hand, the elbow and the wrist.
 
     Args:
         d: sizes of the person.
@@ -78,17 +80,19 @@ def arm_shapes(
         pos_w: link -> its joint, world [m] (n, 3).
         rot_w: link -> rotation matrix (n, 3, 3).
     """
-    shapes = [shape(link, d) for link in links]
+    shapes = upper, fore, hand = [shape(link, d) for link in links]
     pos, rot = (jnp.stack([x[link] for link in links], 1) for x in (pos_w, rot_w))
     off = _numbers(x for s in shapes for x in s.centre).reshape(3, 3)
-    upper, fore, _ = (s.radius for s in shapes)
+    middle = pos + jnp.einsum("nkij,kj->nki", rot, off)
     numbers = cell_numbers(
-        _numbers([*(s.radius for s in shapes), upper, upper, fore]),
-        _numbers([*(s.length for s in shapes), 0.0, 0.0, 0.0]),
+        _numbers([upper.radius, upper.radius, fore.radius, hand.radius, upper.radius, fore.radius]),
+        _numbers([upper.length, 0.0, fore.length, 0.0, 0.0, 0.0]),
     )
     return GridShapes(
-        centre_w=jnp.concatenate([pos + jnp.einsum("nkij,kj->nki", rot, off), pos], 1),
-        rot_w=jnp.concatenate([rot, rot], 1),
+        centre_w=jnp.stack(
+            [middle[:, 0], pos[:, 0], middle[:, 1], middle[:, 2], pos[:, 1], pos[:, 2]], 1
+        ),
+        rot_w=rot[:, :2],
         numbers=jnp.broadcast_to(numbers, (len(pos), *numbers.shape)),
     )
 

@@ -142,6 +142,12 @@ def test_a_policy_of_other_settings_is_refused_by_name(changed, tmp_path):
         agym_jax.load_policy(path, usual)
     with pytest.raises(PolicyEnvironmentError, match=r"--episode-length 3 --humans.sizes"):
         check_policy(trained, usual, path)
+    meant = dataclasses.replace(trained, info=trained.info | {"meant_for": {}})
+    path = save_policy(tmp_path / "meant.npz", meant)
+    assert agym_jax.load_policy(path, usual).info["changes"] == changed.changes
+    assert settings_for(path, NAME) == {}
+    with pytest.raises(PolicyEnvironmentError, match=told):
+        agym_jax.load_policy(path, changed)
 
 
 def test_a_policy_meets_other_people_for_other_lengths():

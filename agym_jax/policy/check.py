@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,12 @@ def settings_for(path: Path | str, env_name: str) -> dict[str, Any]:
         return {}
     info, plain = read_policy(path).info, env_name.rpartition(":")[2]
     same = static_id(str(info.get("env"))) == static_id(plain)
-    return arguments_of(info.get("changes", {})) if same else {}
+    return arguments_of(meant_for(info)) if same else {}
+
+
+def meant_for(info: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The settings of the environment that a policy is for: those in which it was trained, unless its ``info`` names others."""
+    return info.get("meant_for", info.get("changes", {}))
 
 
 def check_policy(
@@ -86,7 +92,7 @@ def check_policy(
             f"{' or '.join(map(repr, fitting))}. Use --env-name {trained_in}, or train one: "
             f"{train_command(env.name)}"
         )
-    theirs_changed, ours_changed = policy.info.get("changes", {}), getattr(env, "changes", {})
+    theirs_changed, ours_changed = meant_for(policy.info), getattr(env, "changes", {})
     if other_people:
         theirs_changed, ours_changed = essential(theirs_changed), essential(ours_changed)
     if not any_env and (differ := describe(theirs_changed, ours_changed)):
@@ -114,7 +120,7 @@ def check_policy(
 
 
 def trained_otherwise(policy: AnyPolicy, env: Any) -> str:
-    """In what an environment is other than a policy's training, in words; empty if in nothing.
+    """In what an environment is other than a policy's training (or what it is ``meant_for``), in words; empty if in nothing.
 
     Args:
         policy: or a pair of them; baselines and functions were not trained.
@@ -123,7 +129,7 @@ def trained_otherwise(policy: AnyPolicy, env: Any) -> str:
     policies = (policy.robot, policy.human) if isinstance(policy, Pair) else (policy,)
     ours = getattr(env, "changes", {})
     told = [
-        describe(x.info.get("changes", {}), ours, "in training")
+        describe(meant_for(x.info), ours, "in training")
         for x in policies
         if isinstance(x, Policy)
     ]

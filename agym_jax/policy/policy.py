@@ -49,7 +49,8 @@ class Policy:
         mean: of the observation    (observation,)
         std: of the observation    (observation,)
         arch: sizes, layers, activation, distribution.
-        info: where it came from: ``env, agent, layout, env_steps, commit, versions, ...``.
+        info: where it came from: ``env, agent, layout, env_steps, commit, versions, ...``. ``changes`` are the settings in which it was
+            trained, ``meant_for`` those of the environment that it is for, where they are others.
     """
 
     weights: Any

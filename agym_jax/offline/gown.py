@@ -9,8 +9,7 @@ between its front and its back. The undeformed shape is free of stress.
 Facts of Assistive Gym: reference tasks.md section 6.
 
 DEVIATION(part-of-a-gown): the gown ends where it is held, 0.33 m from the cuff: 0.26 m^2 of AG's 1.10 m^2, at AG's
-0.209 kg/m^2: 0.05 kg of 0.23 kg. The rest, which hangs from the gripper to both sides or lies on the lap, is left out. In AG it
-pulls at what is before the hand: on one path of four the sheet slides off a woman's hand towards her body; here she is dressed.
+0.209 kg/m^2: 0.05 kg of 0.23 kg. The rest, which hangs from the gripper to both sides or lies on the lap, is left out.
 """
 
 from __future__ import annotations

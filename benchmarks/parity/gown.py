@@ -2,8 +2,8 @@
 
 In Assistive Gym (AG) and here a Jaco played the same actions from the same joint angles, before unimpaired people: three paths
 of a script, 0.15 m above the arm, and one of a former policy, fast and 0.25 m above the arm, which had dressed people here while episodes
-began with the hand in the gown and the gown passed the hand with room to spare. Compared are whether the sleeve ever is on the forearm, how
-far up the arm the cuff comes, and AG's number of the gown's force from 4 s on: here newtons times `AG_FORCE`, which is set by these rows.
+began with the hand in the gown and the gown passed the hand with room to spare. Compared are whether the sleeve goes on, how far up the
+arm the cuff comes, and AG's number of the gown's force from 4 s on: here newtons times `AG_FORCE`.
 """
 
 from __future__ import annotations
@@ -63,14 +63,7 @@ def rows() -> list[Row]:
         on = [x for x in played if x[2]]
         share = len(on) / STARTS
         found.append(
-            Row(
-                f"{name}: sleeve goes on, share of starts",
-                "",
-                ON[case],
-                share,
-                0.35,
-                "part-of-a-gown",
-            )
+            Row(f"{name}: sleeve goes on, share of starts", "", ON[case], share, 0.35, "gown-start")
         )
         if ON[case] and on:
             best = float(np.mean([x[1] for x in on]))

@@ -8,7 +8,7 @@ DEVIATION(cloth-force): AG's number of the gown's force is 10 times the position
 summed over contacts below 1.1 m and 20 units, with robot and wheelchair among them. Observed and rewarded is what the
 gown presses on the person, the mean over a control step, summed over its vertices [N], times AG_FORCE.
 DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor, not the robot. The left arm is as thin as
-AG's cloth meets it (matter.cloth.grid); other limbs have their radius, and the head neither face nor nose.
+AG's cloth meets it (matter.cloth.grid); other limbs have their radius.
 DEVIATION(dressing-limits): the joint limits of the person's arm hold here as in every task.
 """
 
@@ -25,7 +25,7 @@ import numpy as np
 from jax import Array
 
 from agym_jax.furniture import WHEELCHAIR
-from agym_jax.human.body import LEFT_ARM, shapes_of
+from agym_jax.human.body import LEFT_ARM
 from agym_jax.human.capsules import link_capsules
 from agym_jax.matter.cloth import sleeve
 from agym_jax.matter.cloth import solver as fabrics
@@ -238,9 +238,7 @@ class Dressing:
         """The gown after the n physics steps of a control step, and what was felt in each."""
         motion = sensed.motion
         limbs = (*TOUCHABLE[len(ARM_LINKS) :], *BELOW)
-        own = jnp.array([shapes_of(limbs).index(link) for link in limbs])  # the head is its skull
-        shapes = link_capsules(sensed.dims, limbs, motion.link_pos_w, motion.link_rot_w)
-        a, b, radius = (jnp.take(x, own, -1 if x.ndim == 1 else -2) for x in shapes)
+        a, b, radius = link_capsules(sensed.dims, limbs, motion.link_pos_w, motion.link_rot_w)
         arm = arm_shapes(sensed.dims, ARM_LINKS, motion.link_pos_w, motion.link_rot_w)
         still = jnp.broadcast_to(jnp.array(ARMREST), (len(a), 2, 2, 3))
         a, b = (jnp.concatenate([x, still[:, :, i]], 1) for i, x in enumerate((a, b)))
@@ -336,8 +334,8 @@ class Dressing:
 def on_limbs(total: Array) -> Array:
     """Force on each limb, those of TOUCHABLE and BELOW [N] (n_limbs,), from that on each solid of ``_move``."""
     rest = len(TOUCHABLE) + len(BELOW) - len(ARM_LINKS)
-    upper, fore, hand, elbow, wrist = total[-5:]
-    arm = jnp.stack([upper, fore + elbow, hand + wrist])
+    upper, shoulder, fore, hand, elbow, wrist = total[-6:]
+    arm = jnp.stack([upper + shoulder, fore + elbow, hand + wrist])
     return jnp.concatenate([arm, total[:rest]])
 
 

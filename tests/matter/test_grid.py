@@ -65,7 +65,7 @@ def test_normals_are_the_slope_of_the_distance_in_the_world():
     at = jnp.array([[0.03, 0.05, -0.04], [-0.05, 0.02, 0.06], [0.04, -0.06, 0.01]])
     slope = jax.vmap(jax.grad(lambda x: far(x[None], now)[0]))(at)
     frames = grid.in_frames(columns(at), now)
-    normal, moved = grid.surface(frames, now, jnp.zeros(3, jnp.int32), 1)
+    normal, moved = grid.surface(frames, now, jnp.zeros(3, jnp.int32))
     expected = slope / np.linalg.norm(slope, axis=1, keepdims=True)
     np.testing.assert_allclose(np.stack(normal, -1), expected, atol=1e-5)
     np.testing.assert_allclose(np.stack(moved, -1), np.tile([0.001, 0, 0], (3, 1)), atol=1e-7)

@@ -23,7 +23,7 @@ from agym_jax.matter.shapes import TINY, Xyz, add, dot, map_xyz, scale, sub
 
 CELL = 0.25
 """Size of a cell [m]: btSparseSdf.h."""
-FIRST = 1
+FIRST = 2
 """Shapes in the first of two frames."""
 
 
@@ -96,37 +96,27 @@ def in_frames(pos: Xyz, now: GridPath) -> tuple[Xyz, Xyz]:
 
 def distance(frames: tuple[Xyz, Xyz], now: GridPath, k: int) -> Array:
     """How far vertices are from shape k by Bullet's account [m] (n,)."""
-    centre = now.centre[0, k], now.centre[1, k], now.centre[2, k]
-    x, y, z = map_xyz(_in_cell, sub(frames[0 if k < FIRST else 1], centre))
-    p, q, r = (now.numbers[row, k] + now.numbers[row + 1, k] * z for row in (0, 2, 4))
+    local = sub(frames[0 if k < FIRST else 1], _vectors(now.centre, k))
+    x, y, z = map_xyz(_in_cell, local)
+    p, q, r = _by_height(now.numbers, k, z)
     return p + q * (x + y) + r * x * y
 
 
-def surface(frames: tuple[Xyz, Xyz], now: GridPath, k: Array, count: int) -> tuple[Xyz, Xyz]:
+def surface(frames: tuple[Xyz, Xyz], now: GridPath, k: Array) -> tuple[Xyz, Xyz]:
     """Normal, and displacement of the surface in the substep [m], each (n,), of one shape for each vertex."""
-
-    def own(rows: Rows, row: int) -> Array:
-        """Of the vertex's own shape: few shapes are looked through faster than up."""
-        found = rows[row, count - 1]
-        for shape in range(count - 1):
-            found = jnp.where(k == shape, rows[row, shape], found)
-        return found
-
-    first = partial(jnp.where, k < FIRST)
-    x, y, z = (own(now.centre, row) for row in range(3))
-    local = sub(map_xyz(first, *frames), (x, y, z))
+    choose = partial(jnp.where, k < FIRST)
+    local = sub(map_xyz(choose, *frames), _vectors(now.centre, k))
     x, y, z = map_xyz(_in_cell, local)
-    p1, q0, q1, r0, r1 = (own(now.numbers, row) for row in range(1, 6))
-    q, r = q0 + q1 * z, r0 + r1 * z
-    across = q + r * y, q + r * x, p1 + q1 * (x + y) + r1 * x * y
+    _, q, r = _by_height(now.numbers, k, z)
+    slopes = [now.numbers[row, k] for row in (1, 3, 5)]
+    across = q + r * y, q + r * x, slopes[0] + slopes[1] * (x + y) + slopes[2] * x * y
     outwards = map_xyz(lambda at, a: jnp.where(at < 0.0, -a, a), local, across)
     out, turned = (
-        map_xyz(first, *(_rotated(rows, f, v, (0, 3, 6), 1) for f in (0, 1)))
+        map_xyz(choose, *(_rotated(rows, f, v, (0, 3, 6), 1) for f in (0, 1)))
         for rows, v in ((now.rot, outwards), (now.turned, local))
     )
     size = jax.lax.rsqrt(jnp.maximum(dot(out, out), TINY))
-    x, y, z = (own(now.moved, row) for row in range(3))
-    return scale(size, out), add((x, y, z), turned)
+    return scale(size, out), add(_vectors(now.moved, k), turned)
 
 
 def _rotated(rows: Rows, f: int, v: Xyz, starts: tuple[int, int, int], step: int) -> Xyz:
@@ -143,3 +133,12 @@ def _product(a: tuple[Array, ...], v: Xyz) -> Array:
 def _in_cell(local: Array) -> Array:
     """Place in the cell, 0..1."""
     return jnp.minimum(jnp.abs(local) * (1.0 / CELL), 1.0)
+
+
+def _by_height(numbers: Rows, k: int | Array, z: Array) -> tuple[Array, Array, Array]:
+    p, q, r = (numbers[row, k] + numbers[row + 1, k] * z for row in (0, 2, 4))
+    return p, q, r
+
+
+def _vectors(rows: Rows, k: int | Array) -> Xyz:
+    return rows[0, k], rows[1, k], rows[2, k]

@@ -374,4 +374,4 @@ def _nearest_limb(pos: Xyz, now: GridPath, count: int) -> tuple[Array, Array, Xy
         dist = grid.distance(frames, now, k)
         nearer = (dist < least) | jnp.isnan(dist)
         which, least = jnp.where(nearer, k, which), jnp.minimum(dist, least)
-    return which, least, *grid.surface(frames, now, which, count)
+    return which, least, *grid.surface(frames, now, which)

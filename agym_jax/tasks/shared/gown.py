@@ -70,9 +70,9 @@ def load_starts(vertices: int) -> Starts:
 def arm_shapes(
     d: Dims, links: tuple[str, str, str], pos_w: dict[str, Array], rot_w: dict[str, Array]
 ) -> GridShapes:
-    """The arm as the gown meets it in AG: its links, then the spheres that AG adds at elbow and wrist.
+    """The arm as the gown meets it in AG, with the spheres that AG adds at shoulder, elbow and wrist.
 
-    That at the shoulder lies within the girdle. The upper arm is in its own frame, the others are in the forearm's.
+    In the upper arm's frame that arm and the shoulder, in the forearm's frame that, the hand, the elbow and the wrist.
 
     Args:
         d: sizes of the person.
@@ -85,11 +85,13 @@ def arm_shapes(
     off = _numbers(x for s in shapes for x in s.centre).reshape(3, 3)
     middle = pos + jnp.einsum("nkij,kj->nki", rot, off)
     numbers = cell_numbers(
-        _numbers([upper.radius, fore.radius, hand.radius, upper.radius, fore.radius]),
-        _numbers([upper.length, fore.length, 0.0, 0.0, 0.0]),
+        _numbers([upper.radius, upper.radius, fore.radius, hand.radius, upper.radius, fore.radius]),
+        _numbers([upper.length, 0.0, fore.length, 0.0, 0.0, 0.0]),
     )
     return GridShapes(
-        centre_w=jnp.concatenate([middle, pos[:, 1:]], 1),
+        centre_w=jnp.stack(
+            [middle[:, 0], pos[:, 0], middle[:, 1], middle[:, 2], pos[:, 1], pos[:, 2]], 1
+        ),
         rot_w=rot[:, :2],
         numbers=jnp.broadcast_to(numbers, (len(pos), *numbers.shape)),
     )

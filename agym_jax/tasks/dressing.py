@@ -334,9 +334,8 @@ class Dressing:
 def on_limbs(total: Array) -> Array:
     """Force on each limb, those of TOUCHABLE and BELOW [N] (n_limbs,), from that on each solid of ``_move``."""
     rest = len(TOUCHABLE) + len(BELOW) - len(ARM_LINKS)
-    upper, shoulder, fore, hand, elbow, wrist = total[-6:]
-    arm = jnp.stack([upper + shoulder, fore + elbow, hand + wrist])
-    return jnp.concatenate([arm, total[:rest]])
+    links, joints = jnp.split(total[-2 * len(ARM_LINKS) :], 2)
+    return jnp.concatenate([links + joints, total[:rest]])
 
 
 def felt(state: DressState) -> Array:

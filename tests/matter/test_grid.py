@@ -25,7 +25,7 @@ def path(radius: float, length: float, turn: np.ndarray | None = None) -> grid.G
     turn = np.eye(3) if turn is None else turn
     ends = [
         grid.GridShapes(
-            jnp.array([[x, 0.0, 0.0]]), jnp.asarray(np.stack([turn, turn])),
+            jnp.array([[x, 0.0, 0.0]]), jnp.asarray(turn[None]),
             grid.cell_numbers(jnp.array([radius]), jnp.array([length])),
         )
         for x in (-0.001, 0.0)
@@ -33,14 +33,9 @@ def path(radius: float, length: float, turn: np.ndarray | None = None) -> grid.G
     return jax.tree.map(lambda x: x[0], grid.grid_path(1, *ends))
 
 
-def far(at: np.ndarray | jax.Array, now: grid.GridPath) -> jax.Array:
-    """Distance of points (n, 3) from the shape [m] (n,)."""
-    return grid.distance(grid.in_frames(columns(jnp.asarray(at)), now), now, 0)
-
-
 @pytest.mark.parametrize(("radius", "length", "found"), BULLET)
 def test_corners_are_bullets(radius: float, length: float, found: tuple[float, ...]):
-    dist = far(CORNERS, path(radius, length))
+    dist = grid.distance(columns(jnp.asarray(CORNERS)), path(radius, length), 0)
     np.testing.assert_allclose(dist, found, atol=2e-4)
 
 
@@ -51,7 +46,7 @@ def test_a_forearm_is_a_rhombus_that_tapers_to_its_ends():
         """Distance from the axis at which Bullet keeps cloth, 38 mm off [m]."""
         along = np.linspace(0.0, 0.15, 3001)
         at = np.stack([along * direction[0], along * direction[1], 0 * along + z], -1)
-        return along[np.argmax(far(at, now) > 0.038)]
+        return along[np.argmax(grid.distance(columns(jnp.asarray(at)), now, 0) > 0.038)]
 
     assert abs(off((1.0, 0.0), 0.0) - 0.071) < 1e-3  # as a capsule would
     assert abs(off((0.0, -1.0), 0.0) - 0.071) < 1e-3
@@ -63,9 +58,9 @@ def test_normals_are_the_slope_of_the_distance_in_the_world():
     turn = np.array([[0.0, -0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, 0.6]])
     now = path(0.033, 0.257, turn)
     at = jnp.array([[0.03, 0.05, -0.04], [-0.05, 0.02, 0.06], [0.04, -0.06, 0.01]])
-    slope = jax.vmap(jax.grad(lambda x: far(x[None], now)[0]))(at)
-    frames = grid.in_frames(columns(at), now)
-    normal, moved = grid.surface(frames, now, jnp.zeros(3, jnp.int32))
+    slope = jax.vmap(jax.grad(lambda x: grid.distance(columns(x[None]), now, 0)[0]))(at)
+    dist, normal, moved = grid.surface(columns(at), now, jnp.zeros(3, jnp.int32))
+    np.testing.assert_allclose(dist, grid.distance(columns(at), now, 0), atol=1e-6)
     expected = slope / np.linalg.norm(slope, axis=1, keepdims=True)
     np.testing.assert_allclose(np.stack(normal, -1), expected, atol=1e-5)
     np.testing.assert_allclose(np.stack(moved, -1), np.tile([0.001, 0, 0], (3, 1)), atol=1e-7)

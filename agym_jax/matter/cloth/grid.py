@@ -12,7 +12,6 @@ The shapes are symmetric, so that one octant of the eight cells around the centr
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -23,20 +22,15 @@ from agym_jax.matter.shapes import TINY, Xyz, add, dot, map_xyz, scale, sub
 
 CELL = 0.25
 """Size of a cell [m]: btSparseSdf.h."""
-FIRST = 2
-"""Shapes in the first of two frames."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class GridShapes:
-    """Capsules along z of two frames; a sphere is one of no length.
-
-    The first ``FIRST`` of the k are in the first frame, the others in the second one.
-    """
+    """k capsules along z of their frames; a sphere is one of no length."""
 
     centre_w: Array  # [m]                                                  (k, 3)
-    rot_w: Array  # from the two frames to the world                        (2, 3, 3)
+    rot_w: Array  # from their frames to the world                          (k, 3, 3)
     numbers: Array  # of the distance in a cell, see ``cell_numbers`` [m]   (k, 6)
 
 
@@ -45,10 +39,10 @@ class GridShapes:
 class GridPath:
     """The same in each of s substeps. In the physics the fields are ``Rows`` of one substep."""
 
-    centre: Array  # in its frame, at the substep's end [m]                 (s, 3, k)
-    rot: Array  # nine entries, row by row                                  (s, 9, 2)
+    centre: Array  # at the substep's end, world [m]                        (s, 3, k)
+    rot: Array  # nine entries, row by row                                  (s, 9, k)
     moved: Array  # displacement of the centre in the substep [m]           (s, 3, k)
-    turned: Array  # change of the rotation's entries                       (s, 9, 2)
+    turned: Array  # change of the rotation's entries                       (s, 9, k)
     numbers: Array  # [m]                                                   (s, 6, k)
 
 
@@ -78,56 +72,39 @@ def grid_path(substeps: int, start: GridShapes, end: GridShapes) -> GridPath:
         return a + share * (b - a)
 
     centre, rot = between(start.centre_w, end.centre_w), between(start.rot_w, end.rot_w)
-    matrix = rot[1:].reshape(substeps, 3, 3, 2)
-    parts = (centre[1:, :, :FIRST], 0), (centre[1:, :, FIRST:], 1)
-    local = [jnp.einsum("sji,sjk->sik", matrix[..., f], c) for c, f in parts]
     numbers = jnp.broadcast_to(end.numbers.T, (substeps, 6, len(end.numbers)))
     return GridPath(
-        centre=jnp.concatenate(local, -1), rot=rot[1:], moved=centre[1:] - centre[:-1],
-        turned=rot[1:] - rot[:-1], numbers=numbers,
+        centre=centre[1:], rot=rot[1:], moved=centre[1:] - centre[:-1], turned=rot[1:] - rot[:-1],
+        numbers=numbers,
     )  # fmt: skip
 
 
-def in_frames(pos: Xyz, now: GridPath) -> tuple[Xyz, Xyz]:
-    """Vertices in the two frames, from the world's origin [m]."""
-    first, second = (_rotated(now.rot, f, pos, (0, 1, 2), 3) for f in (0, 1))
-    return first, second
-
-
-def distance(frames: tuple[Xyz, Xyz], now: GridPath, k: int) -> Array:
+def distance(pos: Xyz, now: GridPath, k: int | Array) -> Array:
     """How far vertices are from shape k by Bullet's account [m] (n,)."""
-    local = sub(frames[0 if k < FIRST else 1], _vectors(now.centre, k))
-    x, y, z = map_xyz(_in_cell, local)
+    x, y, z = map_xyz(_in_cell, _local(pos, now, k))
     p, q, r = _by_height(now.numbers, k, z)
     return p + q * (x + y) + r * x * y
 
 
-def surface(frames: tuple[Xyz, Xyz], now: GridPath, k: Array) -> tuple[Xyz, Xyz]:
-    """Normal, and displacement of the surface in the substep [m], each (n,), of one shape for each vertex."""
-    choose = partial(jnp.where, k < FIRST)
-    local = sub(map_xyz(choose, *frames), _vectors(now.centre, k))
+def surface(pos: Xyz, now: GridPath, k: Array) -> tuple[Array, Xyz, Xyz]:
+    """Distance [m], normal, and displacement of the surface in the substep [m], each (n,), of one shape for each vertex."""
+    local = _local(pos, now, k)
     x, y, z = map_xyz(_in_cell, local)
-    _, q, r = _by_height(now.numbers, k, z)
+    p, q, r = _by_height(now.numbers, k, z)
     slopes = [now.numbers[row, k] for row in (1, 3, 5)]
     across = q + r * y, q + r * x, slopes[0] + slopes[1] * (x + y) + slopes[2] * x * y
     outwards = map_xyz(lambda at, a: jnp.where(at < 0.0, -a, a), local, across)
-    out, turned = (
-        map_xyz(choose, *(_rotated(rows, f, v, (0, 3, 6), 1) for f in (0, 1)))
-        for rows, v in ((now.rot, outwards), (now.turned, local))
-    )
-    size = jax.lax.rsqrt(jnp.maximum(dot(out, out), TINY))
-    return scale(size, out), add(_vectors(now.moved, k), turned)
+    normal = _turn(now.rot, k, outwards)
+    size = jax.lax.rsqrt(jnp.maximum(dot(normal, normal), TINY))
+    moved = add(_vectors(now.moved, k), _turn(now.turned, k, local))
+    return p + q * (x + y) + r * x * y, scale(size, normal), moved
 
 
-def _rotated(rows: Rows, f: int, v: Xyz, starts: tuple[int, int, int], step: int) -> Xyz:
-    """Matrix f of nine entries in rows, times a vector: by its rows (starts 0, 3, 6; step 1) or its columns (0, 1, 2; 3)."""
-    x, y, z = (tuple(rows[i + step * j, f] for j in range(3)) for i in starts)
-    return _product(x, v), _product(y, v), _product(z, v)
-
-
-def _product(a: tuple[Array, ...], v: Xyz) -> Array:
-    """Product of three numbers with a vector (n,)."""
-    return a[0] * v[0] + a[1] * v[1] + a[2] * v[2]
+def _local(pos: Xyz, now: GridPath, k: int | Array) -> Xyz:
+    """In the shape's frame [m]."""
+    off, rot = sub(pos, _vectors(now.centre, k)), now.rot
+    x, y, z = ((rot[i, k], rot[3 + i, k], rot[6 + i, k]) for i in range(3))
+    return dot(x, off), dot(y, off), dot(z, off)
 
 
 def _in_cell(local: Array) -> Array:
@@ -138,6 +115,12 @@ def _in_cell(local: Array) -> Array:
 def _by_height(numbers: Rows, k: int | Array, z: Array) -> tuple[Array, Array, Array]:
     p, q, r = (numbers[row, k] + numbers[row + 1, k] * z for row in (0, 2, 4))
     return p, q, r
+
+
+def _turn(rot: Rows, k: int | Array, v: Xyz) -> Xyz:
+    """A matrix in rows of nine, times a vector."""
+    x, y, z = ((rot[i, k], rot[i + 1, k], rot[i + 2, k]) for i in (0, 3, 6))
+    return dot(x, v), dot(y, v), dot(z, v)
 
 
 def _vectors(rows: Rows, k: int | Array) -> Xyz:

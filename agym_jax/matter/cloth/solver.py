@@ -369,9 +369,8 @@ def _nearest_capsule(pos: Xyz, now: _Trajectory, count: int) -> tuple[Array, Arr
 def _nearest_limb(pos: Xyz, now: GridPath, count: int) -> tuple[Array, Array, Xyz, Xyz]:
     """``_nearest`` among limbs, likewise."""
     which, least = jnp.zeros_like(pos[0], jnp.int32), jnp.full_like(pos[0], jnp.inf)
-    frames = grid.in_frames(pos, now)
     for k in range(count):
-        dist = grid.distance(frames, now, k)
+        dist = grid.distance(pos, now, k)
         nearer = (dist < least) | jnp.isnan(dist)
         which, least = jnp.where(nearer, k, which), jnp.minimum(dist, least)
-    return which, least, *grid.surface(frames, now, which)
+    return which, *grid.surface(pos, now, which)

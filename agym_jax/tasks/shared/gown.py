@@ -70,9 +70,7 @@ def load_starts(vertices: int) -> Starts:
 def arm_shapes(
     d: Dims, links: tuple[str, str, str], pos_w: dict[str, Array], rot_w: dict[str, Array]
 ) -> GridShapes:
-    """The arm as the gown meets it in AG, with the spheres that AG adds at shoulder, elbow and wrist.
-
-    In the upper arm's frame that arm and the shoulder, in the forearm's frame that, the hand, the elbow and the wrist.
+    """The arm as the gown meets it in AG: its links, then the spheres that AG adds at shoulder, elbow and wrist.
 
     Args:
         d: sizes of the person.
@@ -80,19 +78,17 @@ def arm_shapes(
         pos_w: link -> its joint, world [m] (n, 3).
         rot_w: link -> rotation matrix (n, 3, 3).
     """
-    shapes = upper, fore, hand = [shape(link, d) for link in links]
+    shapes = [shape(link, d) for link in links]
     pos, rot = (jnp.stack([x[link] for link in links], 1) for x in (pos_w, rot_w))
     off = _numbers(x for s in shapes for x in s.centre).reshape(3, 3)
-    middle = pos + jnp.einsum("nkij,kj->nki", rot, off)
+    upper, fore, _ = (s.radius for s in shapes)
     numbers = cell_numbers(
-        _numbers([upper.radius, upper.radius, fore.radius, hand.radius, upper.radius, fore.radius]),
-        _numbers([upper.length, 0.0, fore.length, 0.0, 0.0, 0.0]),
+        _numbers([*(s.radius for s in shapes), upper, upper, fore]),
+        _numbers([*(s.length for s in shapes), 0.0, 0.0, 0.0]),
     )
     return GridShapes(
-        centre_w=jnp.stack(
-            [middle[:, 0], pos[:, 0], middle[:, 1], middle[:, 2], pos[:, 1], pos[:, 2]], 1
-        ),
-        rot_w=rot[:, :2],
+        centre_w=jnp.concatenate([pos + jnp.einsum("nkij,kj->nki", rot, off), pos], 1),
+        rot_w=jnp.concatenate([rot, rot], 1),
         numbers=jnp.broadcast_to(numbers, (len(pos), *numbers.shape)),
     )
 

@@ -29,13 +29,8 @@ NEAR = 0.08  # of the same place on the arm [m]
 STARTS = 8  # of the gown here, drawn
 
 
-def play(env: agym_jax.Env, case: int, key: jax.Array) -> tuple[np.ndarray, float, bool]:
-    """What replaying a case gives.
-
-    Returns:
-        AG's number of the gown's force (200,), how far up the arm the cuff came, the person's tip of the hand being 0 [m], and
-        whether the sleeve was ever on the forearm.
-    """
+def play(env: agym_jax.Env, case: int, key: jax.Array) -> tuple[np.ndarray, float]:
+    """AG's number of the gown's force (200,), and how far up the arm the cuff came, the person's tip of the hand being 0 [m]."""
     kept, state = traces("gown"), env.reset(key)
     one, spec, sex = jnp.float32(1.0), env.task.human, float(kept["sex"][case])
     human = dataclasses.replace(
@@ -47,12 +42,11 @@ def play(env: agym_jax.Env, case: int, key: jax.Array) -> tuple[np.ndarray, floa
     episode = make_episode(env.scene, spec, (human, body, place, None), np)
     data = env.physics.reset(state.data, episode)
     seen, _ = env._begin_task(key, data, episode)
-    state, felt, on = state.replace(data=data, episode=episode, **seen), [], False
+    state, felt = state.replace(data=data, episode=episode, **seen), []
     for action in kept["action"][case]:
         state = env.step(state, action)
         felt.append(float(dressing.felt(state.task)))
-        on |= bool(state.task.on_arm.forearm)
-    return np.array(felt), max(float(state.task.best), 0.0), on
+    return np.array(felt), max(float(state.task.best), 0.0)
 
 
 def rows() -> list[Row]:
@@ -60,7 +54,7 @@ def rows() -> list[Row]:
     env, kept, found = agym_jax.make("DressingJaco-v0", impl="native"), traces("gown"), []
     for case, name in enumerate(NAMES):
         played = [play(env, case, jax.random.PRNGKey(start)) for start in range(STARTS)]
-        on = [x for x in played if x[2]]
+        on = [x for x in played if x[1] > 0.2]
         share = len(on) / STARTS
         found.append(
             Row(f"{name}: sleeve goes on, share of starts", "", ON[case], share, 0.35, "gown-start")

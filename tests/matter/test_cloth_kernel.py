@@ -15,7 +15,6 @@ from cloth_scene import DT, sheet
 
 from agym_jax.matter.cloth import solver as fabrics
 from agym_jax.matter.cloth.garment import load
-from agym_jax.matter.cloth.grid import GridShapes, cell_numbers
 from agym_jax.matter.cloth.kernel import kernel
 from agym_jax.matter.cloth.solver import Cloth, anchor_positions, initial, step
 from agym_jax.matter.cloth.topology import ClothSpec, Fabric, build_cloth
@@ -68,22 +67,6 @@ def test_kernel_equals_xla(monkeypatch: pytest.MonkeyPatch, whole: bool):
     for a, b in zip(jax.tree.leaves(made), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3)
     np.testing.assert_allclose(made[0].pos_w, cloth.pos_w, atol=2e-6)
-
-
-def test_kernel_equals_xla_among_limbs(monkeypatch: pytest.MonkeyPatch):
-    spec = small()
-    cloth, start, end, _ = jax.tree.map(lambda x: x[0], batch(spec))
-    at, turn = anchor_positions(spec, jnp.zeros(3)), jnp.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    numbers = cell_numbers(jnp.array([0.033, 0.043]), jnp.array([0.257, 0.0]))
-    centre = cloth.pos_w[jnp.array([3, 20])] + 0.02
-    limbs = tuple(
-        GridShapes(centre + off, jnp.stack([jnp.eye(3), turn]), numbers) for off in (0, 0.003)
-    )
-    one = lambda: step(spec, cloth, start, end, at, at, DT, None, FLOOR, limbs)  # noqa: E731
-    expected, touch = one()
-    assert touch.total[-2:].sum() > 0.01 and len(touch.total) == len(end.radius) + 2
-    monkeypatch.setattr(fabrics, "advance", partial(kernel, interpret=True))
-    np.testing.assert_allclose(one()[0].pos_w, expected.pos_w, atol=2e-6)
 
 
 def test_kernel_holds_the_anchors_by_default(monkeypatch: pytest.MonkeyPatch):

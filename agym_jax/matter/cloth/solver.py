@@ -32,8 +32,6 @@ import numpy as np
 from jax import Array
 from jax.lax import rsqrt
 
-from agym_jax.matter.cloth import grid
-from agym_jax.matter.cloth.grid import GridPath, GridShapes
 from agym_jax.matter.cloth.kernel import InArrays, Publish, Rows, State, advance
 from agym_jax.matter.cloth.topology import ClothSpec, PairTable, Tables, tables
 from agym_jax.matter.shapes import (
@@ -109,7 +107,7 @@ def anchor_positions(spec: ClothSpec, pos_w: Array, rot_w: Array | None = None) 
 
 def step(
     spec: ClothSpec, cloth: Cloth, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array, dt: float,
-    held: Array | None = None, floor: float | None = None, limbs: tuple[GridShapes, GridShapes] | None = None,
+    held: Array | None = None, floor: float | None = None,
 ) -> tuple[Cloth, ClothContact]:  # fmt: skip
     """Advance by one physics step, while solids and anchors move along straight lines.
 
@@ -123,16 +121,14 @@ def step(
         dt: length of the step [s].
         held: whether the anchors hold the cloth, () bool; they do if left out.
         floor: height of the floor [m]; there is none if left out.
-        limbs: further solids, at the beginning of the step and at its end; they come after the others.
 
     Returns:
         cloth, and its contact forces. A vertex counts for the solid that it touched last.
     """
     h, vel_before = dt / spec.substeps, cloth.vel_w
     mass = jnp.asarray(spec.mass, jnp.float32)
-    solids = len(end.radius) + (0 if limbs is None else len(limbs[1].numbers))
-    substep = partial(_substep, spec, h, (len(end.radius), solids), floor)
-    path = _trajectory(spec.substeps, start, end, anchors_start, anchors_end, limbs)
+    substep = partial(_substep, spec, h, len(end.radius), floor)
+    path = _trajectory(spec.substeps, start, end, anchors_start, anchors_end)
     *after, pushed, touched = advance(
         substep, tables(spec, h), cloth.pos_w, cloth.vel_w, path, held
     )
@@ -141,7 +137,7 @@ def step(
     kept = Cloth(_finite(cloth.pos_w), jnp.zeros_like(cloth.vel_w))
     cloth = jax.tree.map(lambda a, b: jnp.where(broken, a, b), kept, moved)
     force = scale(-mass / (h * dt), pushed)  # of each vertex on its solid
-    own = jnp.arange(solids)[:, None] == touched
+    own = jnp.arange(len(end.radius))[:, None] == touched
 
     def on_each(x: Array) -> Array:
         return jnp.where(own & ~broken, x, 0.0).sum(-1)
@@ -216,13 +212,11 @@ class _Trajectory:
     turned: Array  # displacement of the other end, relative to that [m]    (s, 3, k)
     inverse: Array  # 1 / squared length [1/m^2]                            (s, 1, k)
     radius: Array  # [m]                                                    (s, 1, k)
-    limbs: GridPath | None  # further solids
 
 
 def _trajectory(
-    substeps: int, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array,
-    limbs: tuple[GridShapes, GridShapes] | None,
-) -> _Trajectory:  # fmt: skip
+    substeps: int, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array
+) -> _Trajectory:
     """Straight lines, divided into substeps."""
     share = jnp.arange(substeps + 1)[:, None, None] / substeps
 
@@ -240,14 +234,13 @@ def _trajectory(
         turned=axis[1:] - axis[:-1],
         inverse=1.0 / squared[1:],
         radius=jnp.broadcast_to(end.radius, (substeps, 1, len(end.radius))),
-        limbs=None if limbs is None else grid.grid_path(substeps, *limbs),
     )
 
 
 def _substep(
-    spec: ClothSpec, h: float, solids: tuple[int, int], floor: float | None, tables: Tables, now: _Trajectory, publish: Publish, state: State,
+    spec: ClothSpec, h: float, solids: int, floor: float | None, tables: Tables, now: _Trajectory, publish: Publish, state: State,
 ) -> State:  # fmt: skip
-    """The state after h [s], among a number of capsules and of solids in all."""
+    """The state after h [s], among a number of capsules."""
     pos, vel, pushed, touched = state
     free, tether = tables.free[0], tables.tether[0]
     anchor = _vectors(now.anchors, tether)
@@ -292,7 +285,7 @@ def _correction(pairs: PairTable, row: int, pos: Xyz, others: Rows) -> Xyz:
 
 
 def _contacts(
-    spec: ClothSpec, free: Array, pos: Xyz, start: Xyz, now: _Trajectory, solids: tuple[int, int], floor: float | None,
+    spec: ClothSpec, free: Array, pos: Xyz, start: Xyz, now: _Trajectory, solids: int, floor: float | None,
 ) -> tuple[Xyz, Xyz, Array]:  # fmt: skip
     """Contacts of free vertices with their nearest solids.
 
@@ -315,29 +308,21 @@ def _contacts(
 
 
 def _nearest(
-    pos: Xyz, now: _Trajectory, solids: tuple[int, int], floor: float | None
+    pos: Xyz, now: _Trajectory, solids: int, floor: float | None
 ) -> tuple[Array, Array, Xyz, Xyz]:
     """Nearest solid of each vertex: index, distance [m], normal, displacement of its surface [m]; each (n,).
 
-    The floor's index is the number of solids.
+    The floor's index is the number of capsules.
     """
-    capsules, count = solids
     zero = scale(jnp.float32(0.0), pos)
-    which, dist = jnp.full_like(pos[0], count, jnp.int32), jnp.full_like(pos[0], jnp.inf)
+    which, dist = jnp.full_like(pos[0], solids, jnp.int32), jnp.full_like(pos[0], jnp.inf)
     normal = carried = zero
-    if capsules:
-        which, dist, normal, carried = _nearest_capsule(pos, now, capsules)
-    if now.limbs is not None:
-        limb, near, out, along = _nearest_limb(pos, now.limbs, count - capsules)
-        nearer = (near < dist) | jnp.isnan(near)
-        which, dist = jnp.where(nearer, capsules + limb, which), jnp.where(nearer, near, dist)
-        normal, carried = (
-            map_xyz(partial(jnp.where, nearer), *pair) for pair in ((out, normal), (along, carried))
-        )
+    if solids:
+        which, dist, normal, carried = _nearest_capsule(pos, now, solids)
     if floor is not None:
         above = pos[2] - floor
         lower = above < dist
-        which, dist = jnp.where(lower, count, which), jnp.minimum(above, dist)
+        which, dist = jnp.where(lower, solids, which), jnp.minimum(above, dist)
         x, y, z = (jnp.where(lower, 0.0, n) for n in normal)
         normal = x, y, jnp.where(lower, 1.0, z)
         carried = map_xyz(lambda c: jnp.where(lower, 0.0, c), carried)
@@ -364,13 +349,3 @@ def _nearest_capsule(pos: Xyz, now: _Trajectory, count: int) -> tuple[Array, Arr
     gap = length(off)
     carried = add(_vectors(now.moved, which), scale(share, _vectors(now.turned, which)))
     return which, gap - now.radius[0, which], scale(1.0 / gap, off), carried
-
-
-def _nearest_limb(pos: Xyz, now: GridPath, count: int) -> tuple[Array, Array, Xyz, Xyz]:
-    """``_nearest`` among limbs, likewise."""
-    which, least = jnp.zeros_like(pos[0], jnp.int32), jnp.full_like(pos[0], jnp.inf)
-    for k in range(count):
-        dist = grid.distance(pos, now, k)
-        nearer = (dist < least) | jnp.isnan(dist)
-        which, least = jnp.where(nearer, k, which), jnp.minimum(dist, least)
-    return which, *grid.surface(pos, now, which)

@@ -129,8 +129,6 @@ def trained_otherwise(policy: AnyPolicy, env: Any) -> str:
     policies = (policy.robot, policy.human) if isinstance(policy, Pair) else (policy,)
     ours = getattr(env, "changes", {})
     told = [
-        describe(meant_for(x.info), ours, "in training")
-        for x in policies
-        if isinstance(x, Policy)
+        describe(meant_for(x.info), ours, "in training") for x in policies if isinstance(x, Policy)
     ]
     return "; ".join(dict.fromkeys(filter(None, told)))

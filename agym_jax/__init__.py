@@ -77,7 +77,8 @@ def make(
     from agym_jax.registry import parse
 
     enable_compilation_cache()
-    run_inline()
+    if impl == "native":
+        run_inline()
     recipe = parse(name)
     task = change_task(recipe.task, config, episode_length)
     return AssistiveEnv(task, recipe.robot, recipe.active, impl, humans, num_envs, robot)

@@ -266,7 +266,7 @@ def test_a_port_that_is_in_use_is_told_with_another(capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("ScratchItchJacoHuman-v0", "the robot's is that of ScratchItchJaco-v0, the person does nothing"),
+        ("ScratchItchSawyerHuman-v0", "the robot's is that of ScratchItchSawyer-v0, the person does nothing"),
         (unshipped(), f"No policy is shipped for {unshipped()}: nobody acts"),
     ],
 )  # fmt: skip

@@ -51,8 +51,9 @@ def chosen_among(folder: Path = RESULTS) -> str:
     """Among how many seeds each shipped policy was chosen, in a sentence."""
     chosen = {
         (x["env"], x["commit"][:COMMIT], x["chosen"]): len(x["seeds"])
-        for name in ("selection", "gentle")
+        for name in ("selection", "gentle", "candidates")
         for x in read_results(name, ("env", "commit", "chosen"), folder)
+        if "chosen" in x
     }
     among: dict[int, list[str]] = {}
     for path in sorted((asset_root() / "policies").glob("*.npz")):
@@ -147,11 +148,8 @@ def candidates(folder: Path = RESULTS) -> str:
     """What chosen policies that do not ship achieve: elsewhere too, beside those that ship."""
     tried = read_results("candidates", ("kind", "env", "policy"), folder)
     ships = {x["env"]: x for x in read_results("in_assistive_gym", ("env",), folder)}
-    beside = [
-        ships[x["env"]] | {"policy": "the one that ships"}
-        for x in tried
-        if x["kind"] == THERE and x["env"] in ships
-    ]
+    elsewhere = {x["env"] for x in tried if x["kind"] == THERE}
+    beside = [x | {"policy": "the one that ships"} for x in ships.values() if x["env"] in elsewhere]
 
     def there(x: Line) -> bool:
         return x["kind"] == THERE

@@ -14,7 +14,7 @@ bed's edge, in 60 to 150 steps of the BedBathing episodes that fail there, ours 
 
 DEVIATION(nightstand): the nightstand beside the bed is a box for the robot and another for the person's arm; AG's is the convex hull of a mesh,
 whose front bulges below the edge by 3 cm, where a hanging arm meets it. In postures of AG's episodes Jaco's third link, which lies on the edge in most
-of them, is 1 mm nearer than in AG, and the person's forearm and hand 2 mm (medians; until 23 November 2026, 11:10 UTC, 7 and 23 mm farther). AG loads
+of them, is 0.3 mm nearer than in AG, and the person's forearm and hand 2 mm (medians; until 23 November 2026, 11:10 UTC, 7 and 23 mm farther). AG loads
 the nightstand after it has searched for the base: in 3 of 20 episodes the third link begins 2 to 6 cm inside and is pushed out; here such starts are tried again.
 
 Hand, wrist and tool meet the two lowest links of the arm and, beside the bed, the nightstand, as in AG, whose distances of link from

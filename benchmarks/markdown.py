@@ -16,11 +16,11 @@ PHYSICS_SINCE = "2026-11-23T00:15"
 """When the present physics came about (UTC, as in results): starts, motors, muscles, friction, bed, heads and what a robot may touch as in
 Assistive Gym. Tables mark what was measured before. Set it anew with a change that makes older figures wrong."""
 TASK_SINCE = {
-    "ArmManipulationJaco": "2026-11-23T11:10", "BedBathingJaco": "2026-11-23T11:10",
-    "Dressing": "2026-11-23T07:40", "ArmManipulation": "2026-11-23T07:40",
+    "ArmManipulation": "2026-11-23T07:40", "ArmManipulationJaco": "2026-11-23T11:10",
+    "BedBathingJaco": "2026-11-23T11:10", "Dressing": "2026-11-23T07:40",
 }  # fmt: skip
-"""The same of single tasks, or pairs before their task, that changed since: Jaco's third link and the front of its nightstand;
-Dressing's start and gown; what one-armed robots observe in ArmManipulation."""
+"""The same of ids that begin so and changed since, the latest counts: what one-armed robots observe in ArmManipulation; Jaco's
+third link and the front of its nightstand; Dressing's start and gown."""
 EARLIER = "†"
 THEIRS = "assistive-gym"
 """The implementation that lines of Assistive Gym's own speed name."""
@@ -50,13 +50,13 @@ def is_earlier(line: Line) -> bool:
     """Whether a result is of an earlier physics than the present one; Assistive Gym's has not changed."""
     if line.get("impl") == THEIRS:
         return False
-    return "time" in line and line["time"] < max(PHYSICS_SINCE, TASK_SINCE.get(_task(line), ""))
+    return "time" in line and line["time"] < max([PHYSICS_SINCE, *_own_changes(line).values()])
 
 
-def _task(line: Line) -> str:
-    """The task of ``TASK_SINCE`` that a result is of, or nothing."""
+def _own_changes(line: Line) -> dict[str, str]:
+    """What of ``TASK_SINCE`` a result is of."""
     env = str(line.get("env", "Dressing" if line.get("kind") == "pulls" else ""))
-    return next((task for task in TASK_SINCE if env.startswith(task)), "")
+    return {part: since for part, since in TASK_SINCE.items() if env.startswith(part)}
 
 
 def about(lines: Sequence[Line]) -> str:
@@ -66,7 +66,9 @@ def about(lines: Sequence[Line]) -> str:
     days = sorted({line["time"][:10] for line in lines if "time" in line})
     when = f"; {' to '.join(dict.fromkeys([days[0], days[-1]]))}" if days else ""
     earlier = [is_earlier(line) for line in lines]
-    since = {"": PHYSICS_SINCE, **{t: x for t, x in TASK_SINCE.items() if t in map(_task, lines)}}
+    since = {"": PHYSICS_SINCE}
+    for line in lines:
+        since |= _own_changes(line)
     day = "; ".join(f"{t} {x.replace('T', ', ')} UTC".strip() for t, x in since.items())
     before = ""
     if all(earlier) and earlier:

@@ -90,15 +90,13 @@ class Controller:
     arm_limits: limits.ArmLimits
     arms: tuple[tuple[np.ndarray, float], ...]  # rows of an arm's four joints, 1 right or -1 left
     girdle: Girdle | None = None  # what bears a seated person's arm
-    at_joints: bool = False  # whether there are people with AG's masses, see ``muscles.as_bullet``
-    landing: Landing | None = None  # of their arms on the bed
-    mixed: bool = False  # whether there are others, too
+    masses: str = "body"  # the population's
+    landing: Landing | None = None  # of arms with AG's masses on the bed
 
     @classmethod
     def of(cls, scene: Scene, task: Task, active: bool, masses: str = "body") -> Controller:
         """The driver of a scene; ``masses`` is the population's."""
         names = scene.moving
-        at_joints = masses != "body" and bool(names)
         arms = [
             (np.array([names.index(f"{side}_{joint}") for joint in ARM]), sign)
             for side, sign in (("r", 1.0), ("l", -1.0))
@@ -114,13 +112,22 @@ class Controller:
             robot_range=np.array(scene.model.jnt_range[scene.index.robot_joint], np.float32),
             arm_limits=limits.load_arm_limits(),
             arms=tuple(arms),
-            girdle=None
-            if task.human.postures
-            else Girdle.of(scene.model, scene.index.human_joint, names),
-            at_joints=at_joints,
-            landing=Landing.of(scene.model, scene.index) if at_joints else None,
-            mixed=masses == "both",
+            girdle=Girdle.of(
+                scene.model, scene.index.human_joint, () if task.human.postures else names
+            ),
+            masses=masses,
+            landing=Landing.of(scene.model, scene.index) if masses != "body" and names else None,
         )
+
+    @property
+    def at_joints(self) -> bool:
+        """Whether there are people with AG's masses who can move, see ``muscles.as_bullet``."""
+        return self.masses != "body" and bool(self.spec.joints)
+
+    @property
+    def mixed(self) -> bool:
+        """Whether there are others, too."""
+        return self.masses == "both"
 
     def model_of(self, model: mujoco.MjModel) -> mujoco.MjModel:
         """The scene's model, or a copy with contacts as people with AG's masses need them; see ``contact_fields``."""
@@ -236,9 +243,9 @@ class Controller:
             data: of one moment.
             xp: numpy or jax.numpy.
         """
-        return (
-            0.0 * passive if self.girdle is None else passive * self.girdle.weight(model, data, xp)
-        )
+        if self.girdle is None:
+            return 0.0 * passive
+        return passive * self.girdle.weight(model, data, xp)
 
     def limit_torque(self, q: Array, v: Array) -> Array:
         """Pose-dependent limits of the arms: a torque beside the muscles' [N m] (n_person,).

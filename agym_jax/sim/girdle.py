@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from agym_jax.sim.index import ancestors
+
 
 class Burden(NamedTuple):
     """What hangs on the joints of a girdle."""
@@ -49,9 +51,10 @@ class Girdle:
         if not len(rows):
             return None
         own = np.asarray(joints)[rows]
-        below = [_hangs_on(model, int(body)) for body in model.jnt_bodyid[own]]
-        bodies = np.flatnonzero(np.any(below, axis=0))
-        bears = np.array(below)[:, bodies].astype(np.float32)
+        above = [ancestors(model, body) for body in range(model.nbody)]
+        below = np.array([[model.jnt_bodyid[j] in x for x in above] for j in own], np.float32)
+        bodies = np.flatnonzero(below.any(axis=0))
+        bears = below[:, bodies]
         return cls(rows, own, bodies, bears, len(names), -float(model.opt.gravity[2]))
 
     def weight(self, model: Any, data: Any, xp: Any = jnp) -> Any:
@@ -86,11 +89,3 @@ def consecutive(ids: np.ndarray) -> Any:
     """Ids that follow each other as a slice, which NumPy need not copy."""
     first, last = int(ids[0]), int(ids[-1])
     return slice(first, last + 1) if last - first + 1 == len(ids) else ids
-
-
-def _hangs_on(model: mujoco.MjModel, body: int) -> np.ndarray:
-    """Which bodies are this one or below it (nbody,)."""
-    found = np.arange(model.nbody) == body
-    for i in range(body + 1, model.nbody):  # parents come first
-        found[i] = found[model.body_parentid[i]]
-    return found

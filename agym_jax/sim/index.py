@@ -170,6 +170,15 @@ class Index:
     TOUCH = 6  # numbers of a contact sensor: force [N] (3), position [m] (3)
 
 
+def ancestors(model: mujoco.MjModel, body: int) -> set[int]:
+    """A body and those that it hangs on, without the world."""
+    found = set()
+    while body:
+        found.add(body)
+        body = int(model.body_parentid[body])
+    return found
+
+
 def _pairs_of(model: mujoco.MjModel, prefixes: tuple[str, ...]) -> np.ndarray:
     """Ids of the contact pairs of geoms whose names begin with one of these, but for an empty one (n,)."""
     starts = tuple(x for x in prefixes if x)

@@ -18,7 +18,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from agym_jax.sim.index import Index
+from agym_jax.sim.index import Index, ancestors
 
 REACH = 0.02  # Bullet's contact breaking threshold: how far away a contact is seen [m]
 RESTING = 0.001  # a contact of MuJoCo's begins so early, and holds what has landed [m]
@@ -78,7 +78,7 @@ class Landing:
             return None
         limb, bed, end, friction = (np.array(x) for x in zip(*found, strict=True))
         capsule = np.where(model.geom_type[limb] == CAPSULE, 1.0, 0.0)
-        above = [_ancestors(model, int(model.geom_bodyid[g])) for g in limb]
+        above = [ancestors(model, int(model.geom_bodyid[g])) for g in limb]
         joints = np.asarray(index.human_joint)
         moves = np.array([[model.jnt_bodyid[j] in x for j in joints] for x in above], float)
         half = model.geom_size[bed].copy()
@@ -142,15 +142,6 @@ class Landing:
         first = first / xp.sqrt(xp.sum(first**2, axis=1))[:, None]
         frame = xp.stack([normal, first, xp.cross(normal, first)], axis=1)
         return far - size[:, 0] - skin, core + skin[:, None] * normal, frame
-
-
-def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
-    """A body and those that it hangs on."""
-    found = set()
-    while body:
-        found.add(body)
-        body = int(model.body_parentid[body])
-    return found
 
 
 def _closest(

@@ -73,13 +73,14 @@ def check_robot(spec: mujoco.MjSpec, robot: RobotSpec, task: Task) -> None:
     _check_text(f"{robot.name}'s trunk", robot.trunk)
     _check_text(f"{robot.name}'s near_mount", robot.near_mount)
     _check_there(where, "geom", (*robot.trunk, *robot.near_mount), geoms)
-    for seat, names in (*robot.solid_mounts.items(), *robot.mount_fronts.items()):
-        _check_text(f"{robot.name}'s solid_mounts[{seat!r}]", names)
-        if seat not in robot.mounts:
-            raise SpecError(
-                f"{robot.name}'s solid_mounts has {seat!r}, its mounts do not: "
-                f"{did_you_mean(seat, list(robot.mounts))}"
-            )
+    for kind in ("solid_mounts", "mount_fronts"):
+        for seat, names in getattr(robot, kind).items():
+            _check_text(f"{robot.name}'s {kind}[{seat!r}]", names)
+            if seat not in robot.mounts:
+                raise SpecError(
+                    f"{robot.name}'s {kind} has {seat!r}, its mounts do not: "
+                    f"{did_you_mean(seat, list(robot.mounts))}"
+                )
     for arm in robot.arms_for(task):
         _check_arm(where, spec, robot, arm)
         if task.tool is None:  # the hand is sensed as a tool would be

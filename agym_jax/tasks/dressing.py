@@ -13,9 +13,7 @@ drawn: its cuff is 27 to 35 cm before the tip (10th and 90th percentile of 24 st
 is set so that hands which move at once, or high above the arm, miss the sleeve, as their replayed paths do in AG.
 DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor, not the robot. Limbs are capsules. AG's cloth
 knows them by their distance on a grid of 0.25 m, linear in between, so that it meets an arm that tapers: at its ends, the
-forearm's own axis is 29 to 35 mm outside. It rests at 37 to 40 mm and is pressed to 22 to 30 mm over the hand. With that, and
-gowns recorded in AG as starts, two women's paths on which AG's sleeve misses the hand succeed in 1 of 6 starts instead of 2 of 2; no
-policy has learned in that world yet (12 seeds, 2.5 to 3 M steps), so it is not here.
+forearm's own axis is 29 to 35 mm outside. There it rests at 37 to 40 mm and is pressed to 22 to 30 mm over the hand.
 DEVIATION(dressing-limits): the joint limits of the person's arm hold here as in every task.
 """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import importlib
 import os
 import re
 import signal
@@ -118,3 +119,12 @@ def test_what_a_killed_write_leaves_is_removed_by_the_next_run(tmp_path):
         (folder.path / part).write_bytes(b"half")
     folder.prepare(fresh=False)
     assert [x for x in folder.path.rglob("*") if x.is_file()] == []
+
+
+@pytest.mark.parametrize("trainer", ["ppo", "coop"])
+def test_a_name_that_does_not_exist_leaves_nothing_in_the_folder(tmp_path, trainer, capsys):
+    main = importlib.import_module(f"train.{trainer}").main
+    words = ["--env-name", "ReachingJacco-v0", "--save-dir", str(tmp_path / "runs")]
+    assert main(words) == 2
+    assert "Did you mean 'ReachingJaco-v0'" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

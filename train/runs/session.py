@@ -26,6 +26,7 @@ from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
 from agym_jax.flags import made_of
 from agym_jax.interrupts import INTERRUPTED, deferred, raise_again
+from agym_jax.registry import parse
 
 from ..configs import Config, LearnConfig, parse_arguments, resolve, updates_in
 from ..envs import is_native, make_env, vectorize
@@ -318,6 +319,8 @@ def command_line(
     try:
         config = parse_arguments(words, kind, prog)
         signal.signal(signal.SIGTERM, _on_terminate)
+        if make is make_env:
+            parse(config.env_name)  # a name that does not exist leaves nothing in the folder
         check_loggers(config.logger, config.save_dir)
         if config.save_dir is not None:  # before the environment is built, which takes seconds
             check_writable(Path(config.save_dir))

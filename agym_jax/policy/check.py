@@ -43,7 +43,7 @@ def settings_for(path: Path | str, env_name: str) -> dict[str, Any]:
     return arguments_of(meant_for(info)) if same else {}
 
 
-def meant_for(info: Mapping[str, Any]) -> Mapping[str, Any]:
+def meant_for(info: Mapping[str, Any]) -> dict[str, Any]:
     """The settings of the environment that a policy is for: those in which it was trained, unless its ``info`` names others."""
     return info.get("meant_for", info.get("changes", {}))
 

@@ -33,15 +33,17 @@ class Execution:
         scan: as ``jax.lax.scan`` with two arguments and a sequence.
         fori_loop: as ``jax.lax.fori_loop``.
         compile: what is done to a function that the loops call at every turn.
+        records_later: whether note of steps is taken when all have been made, in one call.
     """
 
     scan: Callable[[Step, Any, Any], tuple[Any, Any]]
     fori_loop: Callable[[Any, Any, Callable[[Any, Any], Any], Any], Any]
     compile: Callable[[Callable[..., Any]], Callable[..., Any]]
+    records_later: bool
 
 
 def _python_scan(step: Step, carry: Any, xs: Any) -> tuple[Any, Any]:
-    outputs = []
+    outputs, xs = [], jax.device_get(xs)  # JAX takes 0.2 ms to index an array
     for i in range(len(jax.tree.leaves(xs)[0])):
         carry, output = step(carry, jax.tree.map(lambda x, i=i: x[i], xs))
         outputs.append(output)
@@ -55,9 +57,11 @@ def _python_fori_loop(start: Any, stop: Any, body: Callable[[Any, Any], Any], ca
     return carry
 
 
-ONE_PROGRAM = Execution(jax.lax.scan, jax.lax.fori_loop, lambda function: function)
+ONE_PROGRAM = Execution(jax.lax.scan, jax.lax.fori_loop, lambda function: function, False)
 """For functions that are compiled as a whole."""
-STEPWISE = Execution(_python_scan, _python_fori_loop, functools.lru_cache(maxsize=32)(jax.jit))
+STEPWISE = Execution(
+    _python_scan, _python_fori_loop, functools.lru_cache(maxsize=32)(jax.jit), True
+)
 """For environments whose step is called from Python."""
 
 

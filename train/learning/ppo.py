@@ -329,8 +329,9 @@ def learn(
     def epoch(carry: tuple, key: jax.Array) -> tuple[tuple, dict[str, jax.Array]]:
         key_order, key_steps = jax.random.split(key)
         order = jax.random.permutation(key_order, size).reshape(config.num_mini_batch, -1)
-        again = estimate(carry[0].value)
-        now = jax.tree.map(partial(jnp.where, hyper.recompute_advantages > 0), again, first)
+        now = jax.lax.cond(
+            hyper.recompute_advantages > 0, lambda: estimate(carry[0].value), lambda: first
+        )
         items = (order, jax.random.split(key_steps, len(order)))
         return jax.lax.scan(partial(step, data | now), carry, items)
 

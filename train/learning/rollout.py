@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,6 +20,7 @@ EPISODE_TOTALS = ("episodes", "return", "return_squared", "success", "force", "l
 GENTLE_TOTALS = ("episode/gentle", "episode/peak", "step/force/over_comfort")
 """Of environments that measure ``COMFORT_KEY``."""
 Totals = dict[str, jax.Array]
+Record = Callable[..., tuple[Any, Totals, Any]]
 
 
 @jax.tree_util.register_dataclass
@@ -219,6 +221,23 @@ def record_step(
     return rollout, totals, batch
 
 
+@functools.cache
+def recording(record: Record) -> Record:
+    """What takes note of many steps as ``record`` does of one; the third argument is what each step left (T, ...)."""
+
+    def record_all(
+        rollout: RolloutState, totals: Totals, moved: tuple, *more: Any
+    ) -> tuple[RolloutState, Totals, Batch]:
+        def step(carry: tuple, moved: tuple) -> tuple[tuple, Batch]:
+            rollout, totals, batch = record(*carry, *moved, *more)
+            return (rollout, totals), batch
+
+        (rollout, totals), batch = jax.lax.scan(step, (rollout, totals), moved)
+        return rollout, totals, batch
+
+    return record_all
+
+
 def collect(
     act: Callable[[jax.Array, jax.Array], tuple],
     venv: Any,
@@ -229,7 +248,7 @@ def collect(
     gamma: jax.Array | float,
     reward_scaling: jax.Array | float,
     execution: Execution = ONE_PROGRAM,
-    record: Callable[..., tuple[RolloutState, Totals, Batch]] = record_step,
+    record: Record = record_step,
 ) -> tuple[RolloutState, Batch, Totals]:
     """Step all environments ``num_steps`` times with the current policies.
 
@@ -248,18 +267,26 @@ def collect(
         The rollout state afterwards, the batch, and sums over all steps (``step/*``) and over all
         episodes that ended and were seen from their start (``episode/*``), () or (seeds,) each.
     """
-    record = execution.compile(record)
+
+    def move(env_state: Any, key: jax.Array) -> tuple[Any, tuple]:
+        action, raw, log_prob = act(env_state.obs, key)
+        after = venv.step(env_state, action)
+        return strong(after), (raw, log_prob, Observed.of(after))
 
     def step(carry: tuple[RolloutState, Totals], key: jax.Array) -> tuple[tuple, Batch]:
         rollout, totals = carry
-        action, raw, log_prob = act(rollout.env_state.obs, key)
-        after = venv.step(rollout.env_state, action)
+        env_state, moved = move(rollout.env_state, key)
         before = replace(rollout, env_state=Observed.of(rollout.env_state))
-        rollout, totals, batch = record(
-            before, totals, raw, log_prob, Observed.of(after), gamma, reward_scaling
-        )
-        return (replace(rollout, env_state=strong(after)), totals), batch
+        rollout, totals, batch = record(before, totals, *moved, gamma, reward_scaling)
+        return (replace(rollout, env_state=env_state), totals), batch
 
-    start = (rollout, zero_totals(rollout.env_state, key.shape[:-1]))
-    (rollout, totals), batch = execution.scan(step, start, split_keys(key, num_steps))
-    return rollout, batch, totals
+    env_state, totals = rollout.env_state, zero_totals(rollout.env_state, key.shape[:-1])
+    keys = split_keys(key, num_steps)
+    if not execution.records_later:
+        (rollout, totals), batch = execution.scan(step, (rollout, totals), keys)
+        return rollout, batch, totals
+    before = replace(rollout, env_state=Observed.of(env_state))
+    env_state, moved = execution.scan(move, env_state, keys)
+    record_all = execution.compile(recording(record))
+    rollout, totals, batch = record_all(before, totals, moved, gamma, reward_scaling)
+    return replace(rollout, env_state=env_state), batch, totals

@@ -22,7 +22,7 @@ from train.evaluation.statistics import iqm
 
 NATIVE, MJX = "native", "jax"
 NAMES = {NATIVE: "C MuJoCo", MJX: "MJX", THEIRS: "Assistive Gym"}
-OF_CPU = "Control steps per second of CPU time."
+ON_CORES = "Control steps per second on {} cores."
 Speeds = dict[tuple[str, str, int], Line]
 """Environment, implementation, environments side by side -> line."""
 
@@ -62,22 +62,22 @@ def _speeds(measured: str, folder: Path) -> tuple[Speeds, Speeds, dict[str, Line
 def _values(used: Sequence[Line]) -> Callable[[Line | None], str]:
     """What a line's cell shows, with a sign if it is of an earlier physics than others of the table."""
     sign = mark(used)
-
-    def value(line: Line | None) -> str:
-        speed = "steps_per_s" if line and line["measured"] == "training" else "cpu_steps_per_s"
-        return f"{line[speed]:,}{sign(line)}" if line else ""
-
-    return value
+    return lambda line: f"{line['steps_per_s']:,}{sign(line)}" if line else ""
 
 
-def _ratio(line: Line | None, other: Line | None) -> str:
-    return f"{line['cpu_steps_per_s'] / other['cpu_steps_per_s']:.1f}" if line and other else ""
+def _ratio(line: Line | None, other: Line | None, form: str = "{:.1f}") -> str:
+    return form.format(line["steps_per_s"] / other["steps_per_s"]) if line and other else ""
+
+
+def _unit(used: Sequence[Line]) -> str:
+    """Of the numbers in a table."""
+    return ON_CORES.format(several(x["device"]["cpu_cores"] for x in used))
 
 
 def _where(gyms: dict[str, Line]) -> str:
     """On which machine Assistive Gym was measured; its ratios are of that machine."""
     machines = several(x["machine"] for x in gyms.values())
-    return f" {NAMES[THEIRS]}: {machines}, one environment a core;" if gyms else ""
+    return f" {NAMES[THEIRS]}: {machines}, one environment on each core;" if gyms else ""
 
 
 def speed(folder: Path = RESULTS) -> str:
@@ -88,25 +88,24 @@ def speed(folder: Path = RESULTS) -> str:
     names = [x for x in (f"{task}Jaco-v0" for task in TASKS) if x in measured]
     if not names:
         return NOTHING
-    counts = sorted({count for _, _, count in here})
-    batches = [(impl, count) for count in counts for impl in (MJX, NATIVE)]
-    head = ["environment", *(f"{NAMES[impl]}, {count}" for impl, count in batches)]
-    head += [f"C MuJoCo / MJX, {count}" for count in counts]
+    counts = sorted({count for _, impl, count in here if impl == NATIVE})
+    first = counts[0]
+    head = ["environment", *(f"C MuJoCo, {count}" for count in counts), f"MJX, {first}"]
+    head += [NAMES[THEIRS], "C MuJoCo / MJX", f"C MuJoCo / {NAMES[THEIRS]}"]
+    head += ["training", "its share of C MuJoCo"] if training else []
     used = [*here.values(), *training.values(), *gyms.values()]
     value = _values(used)
-    rows = [[*head, NAMES[THEIRS], "C MuJoCo / Assistive Gym"]]
-    rows[0] += ["training, steps/s"] if training else []
+    rows = [head]
     for env in names:
-        row = [env, *(value(here.get((env, impl, count))) for impl, count in batches)]
-        row += [_ratio(here.get((env, NATIVE, n)), here.get((env, MJX, n))) for n in counts]
-        beside = [there.get((env, NATIVE, n)) for n in counts]
-        gym = gyms.get(env)
-        row += [value(gym), _ratio(next((x for x in beside if x), None), gym)]
-        row += [value(training.get(env))] if training else []
+        ours, mjx, gym = here.get((env, NATIVE, first)), here.get((env, MJX, first)), gyms.get(env)
+        row = [env, *(value(here.get((env, NATIVE, count))) for count in counts), value(mjx)]
+        row += [value(gym), _ratio(ours, mjx), _ratio(there.get((env, NATIVE, first)), gym)]
+        if training:
+            learning = training.get(env)
+            row += [value(learning), _ratio(learning, ours, "{:.0%}")]
         rows.append(row)
-    return grid(
-        rows, used, f"{OF_CPU} Random actions, resets included; a batch's size.{_where(gyms)}"
-    )
+    told = f"{_unit(used)} Random actions, resets included; batches of {several(counts)}."
+    return grid(rows, used, f"{told}{_where(gyms)}")
 
 
 def summary(folder: Path = RESULTS) -> str:
@@ -121,11 +120,11 @@ def summary(folder: Path = RESULTS) -> str:
     used = [x for lines in of.values() for x in lines if x]
     value = _values(used)
     rows = [[NAMES[impl], *map(value, lines)] for impl, lines in of.items() if any(lines)]
-    return grid([["", *TASKS], *rows], used, f"{OF_CPU} Jaco, {counts[0]} environments;")
+    return grid([["", *TASKS], *rows], used, f"{_unit(used)} Jaco, {counts[0]} environments;")
 
 
 def laptop(folder: Path = RESULTS) -> str:
-    """What the demo and a quarter of an hour of training come to, over their seeds."""
+    """What the demo and trainings of at most a quarter of an hour come to, over their seeds."""
     lines = read_results("laptop", ("what", "env", "minutes", "seed"), folder)
     groups: dict[tuple, list[Line]] = {}
     for line in lines:
@@ -146,7 +145,7 @@ def laptop(folder: Path = RESULTS) -> str:
         return f"{len(reached)} of {len(times)}, after {span}"
 
     columns: dict[str, Callable[[Sequence[Line]], str]] = {
-        "run": lambda x: "demo" if x[0]["what"] == "demo" else f"{x[0]['minutes']:.0f} minutes",
+        "run": lambda x: "demo" if x[0]["what"] == "demo" else "training",
         "environment": lambda x: x[0]["env"],
         "seeds": lambda x: str(len(x)),
         "all in": lambda x: f"{max(line['seconds'] for line in x) / 60:.1f} min",

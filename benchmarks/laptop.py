@@ -1,4 +1,4 @@
-"""Learning on a laptop: how good the demo's policy is, and what a quarter of an hour of training comes to.
+"""Learning on a laptop: how good the demo's policy is, and what training comes to in at most a quarter of an hour.
 
     taskset -c 0,1 python -m benchmarks.laptop --what demo --seed 1 --json benchmarks/results/laptop.jsonl
     taskset -c 0,1 python -m benchmarks.laptop --what train --minutes 15 --seed 1 --json benchmarks/results/laptop.jsonl
@@ -54,7 +54,7 @@ class LaptopConfig:
     """Environment id."""
     minutes: float = 15.0
     """When a training is stopped, if it has not made all its steps."""
-    num_env_steps: Count = 3_500_000
+    num_env_steps: Count = 2_000_000
     """Steps of a training, after which its learning rate is zero; the demo has its own."""
     episodes: Count = 500
     """Of each evaluation."""

@@ -77,7 +77,7 @@ def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[st
 
 def _settings(settings: Config, config: TrainingSpeedConfig, devices: int) -> Config:
     """Those of a short training on several devices that writes nothing."""
-    settings = dataclasses.replace(settings, num_envs=config.num_envs)
+    settings = dataclasses.replace(settings, num_envs=config.num_envs or settings.num_envs)
     num_envs = devices * resolve(settings, jax.default_backend()).num_envs
     each = -(-config.updates // CALLS)
     return dataclasses.replace(

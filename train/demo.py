@@ -54,7 +54,7 @@ class DemoConfig:
     out: Path = Path("demo")
     """Folder for film, pictures and learning curve."""
     humans: Count = 64
-    """How many people are helped side by side, and environments of the training run."""
+    """How many people are helped side by side."""
     num_env_steps: Count = 1_000_000
     """Steps to train for."""
     seconds: float = 230.0
@@ -174,7 +174,6 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
     settings = config_for(env.name, platform="cpu")
     changes = {
         "num_env_steps": config.num_env_steps,
-        "num_envs": config.humans,
         "save_dir": str(config.out),
         "seed": config.seed,
         "log_interval": 4,

@@ -199,7 +199,7 @@ def main(
     config = config_for(flags.env_name, platform=jax.default_backend())
     config = dataclasses.replace(
         config, seed=flags.seed, impl=flags.impl, save_dir=flags.save_dir,
-        num_envs=flags.num_envs, num_env_steps=flags.num_env_steps or config.num_env_steps,
+        num_envs=flags.num_envs or config.num_envs, num_env_steps=flags.num_env_steps or config.num_env_steps,
     )  # fmt: skip
     env = make(flags.env_name, flags.impl, **flags.options())
     result = sweep(env, config, settings, flags.num_seeds, for_terminal())

@@ -20,7 +20,7 @@ def _write(folder, name: str, lines: list[dict[str, Any]]) -> None:
 
 def _speed(impl: str, speed: int, **more: Any) -> dict[str, Any]:
     line = {"measured": "speed", "env": "FeedingJaco-v0", "impl": impl, "num_envs": 64}
-    times = {"steps_per_s": 7, "cpu_steps_per_s": speed, "time": "2126-01-01"}
+    times = {"steps_per_s": speed, "cpu_steps_per_s": 7, "time": "2126-01-01"}
     return line | times | {"machine": "slow"} | more
 
 
@@ -36,11 +36,13 @@ def test_ratios_are_of_figures_from_one_machine(tmp_path):
         gym,
         _speed("native", 9000, **fast),
         _speed("jax", 3000, **fast),
+        _speed("native", 6000, **fast) | {"measured": "training"},
     ]
     _write(tmp_path, "cpu", lines)
     head, _, row = _cells(cpu_tables.speed(tmp_path))
     found = dict(zip(head, row, strict=True))
-    assert found["C MuJoCo, 64"] == "9,000" and found["C MuJoCo / MJX, 64"] == "3.0"
+    assert found["C MuJoCo, 64"] == "9,000" and found["C MuJoCo / MJX"] == "3.0"
+    assert found["training"] == "6,000" and found["its share of C MuJoCo"] == "67%"
     assert (
         found["Assistive Gym"] == "100" and found["C MuJoCo / Assistive Gym"] == "10.0"
     )  # to 1000, where it ran

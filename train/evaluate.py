@@ -17,7 +17,7 @@ import jax
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
 from agym_jax.flags import Count, PolicyFlags, parse_flags
-from agym_jax.policy.agents import AnyPolicy, baseline_policy
+from agym_jax.policy.agents import BASELINES, AnyPolicy, baseline_policy
 from agym_jax.policy.check import trained_otherwise
 from agym_jax.policy.files import find_policies, load_policies
 
@@ -56,6 +56,10 @@ def evaluate(
         policy = baseline_policy(policy, env.action_size)
     key = jax.random.PRNGKey(key) if isinstance(key, int) else key
     return Evaluator(env, num_episodes)(policy, key, deterministic)
+
+
+MODE = "  Actions: the mode of the policy's distribution. With --non-det, samples of it, as in training."
+SAMPLED = "  Actions: samples of the policy's distribution, as in training."
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,8 @@ def main(
     if otherwise := trained_otherwise(policy, env):
         print(f"Other than in training: {otherwise}.")
     print(result.table())
+    if files.robot not in BASELINES:
+        print(SAMPLED if config.non_det else MODE)
     if config.json:
         trained = dict(policy.info)
         human = {"human_policy": files.human} if files.human else {}

@@ -178,9 +178,12 @@ def test_the_command_line_evaluates_and_records(tmp_path, capsys, policy):
     assert evaluate.main(words.split(), lambda *_: FakeEnv()) == 0
     text = capsys.readouterr().out
     assert "6 episodes" in text and "95 % interval" in text and "±" in text
-    (line,) = [json.loads(line) for line in out.read_text().splitlines()]
+    assert "Actions: the mode" in text and "--non-det" in text
+    line = json.loads(out.read_text().splitlines()[0])
     assert line["kind"] == "evaluation" and line["env"] == "FakeReach-v0" and line["episodes"] == 6
     assert {"commit", "device", "versions", "time", "success", "success_low"} <= line.keys()
+    assert evaluate.main([*words.split(), "--non-det"], lambda *_: FakeEnv()) == 0
+    assert "Actions: samples" in capsys.readouterr().out
     words = ["--env-name", "ReachingJaco-v0", "--load-dir", str(tmp_path)]
     assert evaluate.main(words, lambda *_: FakeEnv()) == 2
     assert "PolicyNotFoundError" in capsys.readouterr().err

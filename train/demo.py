@@ -1,7 +1,7 @@
 """See it work, on any CPU, in a few minutes: ``agym-jax demo``.
 
 1. The policy that ships with agym_jax helps a batch of people, all at once; table, film, pictures.
-2. A policy is trained from scratch for three to four minutes, its learning curve is drawn, and it helps people too.
+2. A policy is trained from scratch for two to four minutes, its learning curve is drawn, and it helps people too.
 
 Both run on C MuJoCo, which starts within seconds.
 """

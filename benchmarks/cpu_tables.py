@@ -32,6 +32,21 @@ def _lines(measured: str, keys: Sequence[str], folder: Path) -> list[Line]:
     return [line for line in lines if line.get("measured", "latency") == measured]
 
 
+def _medians(measured: str, keys: Sequence[str], folder: Path) -> list[Line]:
+    """The newest of each configuration; where it was measured several times at one commit, the (lower) median of these."""
+    runs: dict[tuple, list[Line]] = {}
+    for line in _lines(measured, (*keys, "commit", "time"), folder):
+        runs.setdefault(tuple(line.get(key) for key in ("env", *keys)), []).append(line)
+    found = []
+    for lines in runs.values():
+        last = max(lines, key=itemgetter("time"))
+        same = sorted(
+            (x for x in lines if x["commit"] == last["commit"]), key=itemgetter("steps_per_s")
+        )
+        found.append(same[(len(same) - 1) // 2])
+    return found
+
+
 def latency(folder: Path = RESULTS) -> str:
     """How soon the first step comes, and the speed of one environment."""
     lines = {x["env"]: x for x in _lines("latency", ("machine",), folder)}  # the newest
@@ -48,7 +63,7 @@ def latency(folder: Path = RESULTS) -> str:
 
 def _speeds(measured: str, folder: Path) -> tuple[Speeds, Speeds, dict[str, Line]]:
     """Of ours on the machine that was measured last and on Assistive Gym's, and of Assistive Gym by environment."""
-    lines = _lines(measured, ("impl", "num_envs", "machine"), folder)
+    lines = _medians(measured, ("impl", "num_envs", "machine"), folder)
     lines.sort(key=itemgetter("time"))
     ours, theirs = ([x for x in lines if (x["impl"] == THEIRS) is gym] for gym in (False, True))
 

@@ -32,6 +32,7 @@ from .configs import config_for
 from .enjoy import Frame, caption
 from .envs import make_env
 from .errors import reports_errors
+from .evaluate import SAMPLED
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
 from .learning.rollout import FORCE_KEY
@@ -153,8 +154,8 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
         print(f"[{time.perf_counter() - began:4.0f} s] {text}", flush=True)
 
     check_writable(config.out, "Choose another with --out.")
+    env = make(config.env_name, "native")  # first: it knows which ids there are
     path = find_policy(config.env_name.rpartition(":")[2], None, config.policy)
-    env = make(config.env_name, "native")
     policy = load_policies(PolicyFiles(str(path), None), env)
     say(f"The trained robot helps {config.humans} people, none of whom it has met before.")
     recorder = Recorder()
@@ -184,10 +185,11 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
         env, dataclasses.replace(settings, **changes), for_terminal(), on_log=until(deadline)
     )
     print(summary(trained))
-    # acting as in training: after so few steps, the noise of the actions does a part of the task
+    # not by the mode, as evaluate does without --non-det: after so few steps, noise does a part of the task
     result = evaluator(trained.policy, jax.random.PRNGKey(config.seed + 2000), deterministic=False)
     say(f"The robot that was just trained helps {config.humans} other people.")
     print(result.table())
+    print(SAMPLED)
     print(f"Film:           {film}\nPictures:       {sheet}")
     if trained.folder:
         print(f"Learning curve: {trained.folder / 'curve.png'}")

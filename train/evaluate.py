@@ -59,7 +59,7 @@ def evaluate(
 
 
 MODE = "  Actions: the mode of the policy's distribution. With --non-det, samples of it, as in training."
-SAMPLED = "  Actions: samples of the policy's distribution, as in training."
+SAMPLED = "  Actions: samples of the policy's distribution, as in training (evaluate --non-det)."
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def main(
     if otherwise := trained_otherwise(policy, env):
         print(f"Other than in training: {otherwise}.")
     print(result.table())
-    if files.robot not in BASELINES:
+    if {files.robot, files.human} - {None, *BASELINES}:
         print(SAMPLED if config.non_det else MODE)
     if config.json:
         trained = dict(policy.info)

@@ -50,6 +50,13 @@ def test_ratios_are_of_figures_from_one_machine(tmp_path):
     assert [row[3] for row in _cells(cpu_tables.summary(tmp_path))[2:]] == ["9,000", "3,000", "100"]
 
 
+def test_of_several_runs_at_one_commit_the_median_counts(tmp_path):
+    runs = [_speed("native", x, time=f"2126-01-0{i}") for i, x in enumerate((500, 900, 700), 2)]
+    older = _speed("native", 800, time="2126-01-01") | {"commit": "older"}
+    _write(tmp_path, "cpu", [*runs, older])
+    assert [row[3] for row in _cells(cpu_tables.summary(tmp_path))[2:]] == ["700"]
+
+
 def test_seeds_of_a_laptop_are_one_row(tmp_path):
     run = {"what": "train", "env": "FeedingJaco-v0", "minutes": 15.0, "episodes": 500}
     run |= {"seconds": 900.0, "env_steps": 4_000_000, "steps_per_s": 5000, "success": 0.5}

@@ -71,7 +71,7 @@ def test_demo_without_a_policy_says_how_to_train_one(tmp_path, capsys):
 
 
 def test_the_demo_knows_which_environments_there_are(tmp_path, capsys):
-    assert demo.main(["--env-name", "ScratchItchJako-v0", "--out", str(tmp_path)]) == 2
+    assert demo(["--env-name", "ScratchItchJako-v0", "--out", str(tmp_path)]) == 2
     said = capsys.readouterr().err
     assert "UnknownNameError" in said and "Did you mean 'ScratchItchJaco-v0'" in said
     assert not list(tmp_path.iterdir())

@@ -25,6 +25,11 @@ from agym_jax.errors import checked_count
 from benchmarks.keep import keep
 
 
+WARM_UPS = 4
+"""Runs of each loop before the first that counts: programs are compiled, kernels loaded, and Warp captures a CUDA graph for every
+set of buffers that it meets (over 100 in the first runs of ScratchItchJaco, which once made the loop without PyTorch the slower one)."""
+
+
 @dataclass(frozen=True)
 class OverheadConfig:
     """Flags of ``python -m benchmarks.torch_overhead``."""
@@ -74,7 +79,7 @@ def measure(config: OverheadConfig) -> dict[str, Any]:
         if envs.device.type == "cuda":
             torch.cuda.synchronize(envs.device)
 
-    for loop in (plain, in_torch):  # compile, load kernels
+    for loop in (plain, in_torch) * WARM_UPS:
         loop()
     pairs = [(_seconds(plain), _seconds(in_torch)) for _ in range(config.repeats)]
     ratios = sorted(with_torch / without for without, with_torch in pairs)

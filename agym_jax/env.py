@@ -35,7 +35,7 @@ from agym_jax.human.population import Population, checked_population
 from agym_jax.human.regions import comfort_limits, no_forces
 from agym_jax.jax_settings import full_precision
 from agym_jax.math3d import first_sign, nearest_sign
-from agym_jax.metrics import METRICS, metrics_of
+from agym_jax.metrics import metric_names, metrics_of, progress_of
 from agym_jax.rendering.raycast import Marker
 from agym_jax.sense import Motion, Sensed, quats_of, with_quats
 from agym_jax.sim.arguments import check_key, check_single
@@ -271,7 +271,7 @@ class AssistiveEnv:
                 rewards,
                 sensed,
                 self.comfort,
-                self.task.success(task),
+                progress_of(self.task, task),
                 bad,
                 self.physics.overflow(data),
             ),
@@ -296,12 +296,12 @@ class AssistiveEnv:
         if where is not None and old is not None:
             episode = select(where, episode, old.episode)
         data = self.physics.reset(data, episode, where)
-        seen, success = self._begin_task(key_task, data, episode)
+        seen, progress = self._begin_task(key_task, data, episode)
         if where is not None and old is not None:
             seen = select(where, seen, {name: getattr(old, name) for name in seen})
             return old.replace(data=data, episode=episode, **seen)
         zero = jnp.float32(0.0)
-        metrics = dict.fromkeys(self.metric_names, zero) | {"success": success}
+        metrics = dict.fromkeys(self.metric_names, zero) | progress
         return State(
             data=data, reward=zero, done=zero, metrics=metrics, info={}, episode=episode, key=key,
             regions=no_forces(), **seen
@@ -314,25 +314,26 @@ class AssistiveEnv:
         sample = sample_episode(keys, self.scene, self.task.human, self.humans, self._bank, robot)
         return strong((sample, key_task, key))
 
-    def _begin_task(self, key: Array, data: Any, episode: Episode) -> tuple[dict[str, Any], Array]:
-        """How the task begins: fields of ``State``, and whether that is a success already ()."""
+    def _begin_task(
+        self, key: Array, data: Any, episode: Episode
+    ) -> tuple[dict[str, Any], dict[str, Array]]:
+        """How the task begins: fields of ``State``, and what it measures already, see ``metrics.progress_of``."""
         index = self.scene.index
         motion = motion_at_rest(index, data, self.task.control.frame_skip)
         sensed = self._sense(data, no_contacts(index), motion, episode)
         quats = first_sign(quats_of(sensed))
         sensed = with_quats(sensed, quats)
         task = self.task.init(key, sensed)
-        success = jnp.asarray(self.task.success(task)).astype(jnp.float32)
         obs, privileged_obs = self._observe(task, sensed, episode, episode.step)
         seen = {"task": task, "obs": obs, "privileged_obs": privileged_obs, "quats": quats}
-        return strong((seen, success))
+        return strong((seen, progress_of(self.task, task)))
 
     # -- what stages share ---------------------------------------------------------------------
 
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Names of ``State.metrics``, in order."""
-        return (*(f"reward/{term}" for term in self.task.reward_terms), *METRICS)
+        return metric_names(self.task)
 
     def _check_terms(self, rewards: dict[str, Array]) -> None:
         if tuple(rewards) != tuple(self.task.reward_terms):

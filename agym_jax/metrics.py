@@ -1,13 +1,17 @@
-"""What every environment measures in a control step, besides the terms of the reward."""
+"""What every environment measures in a control step, besides the terms of the reward and the task's own measures."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from agym_jax.sense import Sensed
+from agym_jax.spec import Measured, Task
 
+TASK_PREFIX = "task/"
 METRICS = (
     "force/on_human", "force/tool_on_human", "force/robot_on_human", "force/tool",
     "force/peak_on_human", "force/of_comfort", "force/of_limit", "success", "nan", "overflow",
@@ -21,17 +25,17 @@ def metrics_of(
     rewards: dict[str, Array],
     sensed: Sensed,
     comfort: np.ndarray,
-    success: Array,
+    progress: dict[str, Array],
     bad: Array,
     overflow: Array,
 ) -> dict[str, Array]:
-    """Terms of the reward as ``reward/<name>``, then ``METRICS``.
+    """Terms of the reward as ``reward/<name>``, then ``METRICS``, then the task's measures as ``task/<name>``.
 
     Args:
         rewards: terms of this step.
         sensed: at its end.
         comfort: limits of the task, see ``human.regions.comfort_limits`` [N].
-        success: whether the episode is one so far ().
+        progress: from ``progress_of``.
         bad: whether something is not finite; what is measured is then 0 ().
         overflow: whether contacts were lost ().
     """
@@ -44,9 +48,28 @@ def metrics_of(
         clean(jnp.max(sensed.regions.peak)),
         clean(sensed.regions.of_comfort(comfort)),
         clean(sensed.regions.of_limit()),
-        clean(success),
+        clean(progress["success"]),
         bad.astype(jnp.float32),
         overflow,
     )
     terms = {f"reward/{name}": value for name, value in rewards.items()}
-    return terms | dict(zip(METRICS, values, strict=True))
+    measures = {name: clean(value) for name, value in progress.items() if name != "success"}
+    return terms | dict(zip(METRICS, values, strict=True)) | measures
+
+
+def progress_of(task: Task, state: Any) -> dict[str, Array]:
+    """``success``, and the task's measures as ``task/<name>``, each float32 ()."""
+    found = {"success": task.success(state)}
+    if isinstance(task, Measured):
+        found |= {f"{TASK_PREFIX}{name}": value for name, value in task.measure(state).items()}
+    return {name: jnp.asarray(value).astype(jnp.float32) for name, value in found.items()}
+
+
+def metric_names(task: Task) -> tuple[str, ...]:
+    """Names of ``State.metrics``, in order."""
+    measures = task.measures if isinstance(task, Measured) else ()
+    return (
+        *(f"reward/{term}" for term in task.reward_terms),
+        *METRICS,
+        *(f"{TASK_PREFIX}{measure.name}" for measure in measures),
+    )

@@ -24,7 +24,6 @@ import tyro
 from agym_jax.errors import checked_count
 from benchmarks.keep import keep
 
-
 WARM_UPS = 4
 """Runs of each loop before the first that counts: programs are compiled, kernels loaded, and Warp captures a CUDA graph for every
 set of buffers that it meets (over 100 in the first runs of ScratchItchJaco, which once made the loop without PyTorch the slower one)."""

@@ -18,10 +18,10 @@ from traced import Traced, traced
 
 import agym_jax
 from agym_jax import observe
-from agym_jax.env import METRICS
 from agym_jax.errors import ActionError, ImplementationError
 from agym_jax.jax_settings import full_precision
 from agym_jax.math3d import first_sign
+from agym_jax.metrics import METRICS
 from agym_jax.sim.physics import choose_impl
 from agym_jax.wrappers import vectorize
 
@@ -141,7 +141,8 @@ def test_reset_and_step_trace_no_more_than_they_need(programs: Traced):
 
 def test_names_of_metrics_are_data(programs: Traced):
     env = programs.batch.env
-    names = (*(f"reward/{x}" for x in env.task.reward_terms), *METRICS)
+    measures = [f"task/{x.name}" for x in env.task.measures]
+    names = (*(f"reward/{x}" for x in env.task.reward_terms), *METRICS, *measures)
     assert env.metric_names == names
     assert set(programs.reset.out_info.metrics) == set(programs.step.out_info.metrics) == set(names)
 

@@ -72,6 +72,8 @@ class EvaluateConfig(PolicyFlags):
     """Seed of the episodes (Assistive Gym: training seed + 1000)."""
     impl: str = "auto"
     """Physics: "jax", "warp", "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU where it is installed."""
+    by_group: bool = False
+    """Tell success by sex, impairment and size of the person; else only who is helped least."""
     json: str | None = None
     """File to which the result is added as a JSON line."""
 
@@ -100,7 +102,7 @@ def main(
     )
     if otherwise := trained_otherwise(policy, env):
         print(f"Other than in training: {otherwise}.")
-    print(result.table())
+    print(result.table(config.by_group))
     if {files.robot, files.human} - {None, *BASELINES}:
         print(SAMPLED if config.non_det else MODE)
     if config.json:

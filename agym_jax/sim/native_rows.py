@@ -145,9 +145,10 @@ class NativeRows:
         slot.write(people_of(episode), rows)
         rows = np.arange(n) if rows is None else rows
         numbers = slot.reset(np.isin(np.arange(slot.rows), rows))
-        seen, success = self._init_task(slot.people, begins, slot.narrow(numbers)).tree()
+        seen, progress = self._init_task(slot.people, begins, slot.narrow(numbers)).tree()
         zero = np.zeros(n, np.float32)
-        metrics = dict.fromkeys(self._metric_names, zero) | {"success": success[rows]}
+        known = jax.tree.map(lambda x: x[rows], progress)
+        metrics = dict.fromkeys(self._metric_names, zero) | known
         fields = {"reward": zero, "done": zero, "metrics": metrics, "episode": episode}
         untouched: Any = np.zeros((n, 2, len(REGIONS)), np.float32)
         fields |= {"regions": RegionForces(untouched)}

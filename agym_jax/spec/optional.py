@@ -22,6 +22,29 @@ class Privileged(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Measure:
+    """A number of a task in the units of care, in ``State.metrics`` under ``task/<name>``."""
+
+    name: str
+    unit: str  # "1" for counts and shares
+    words: str  # what it is, for tables
+
+
+@runtime_checkable
+class Measured(Protocol):
+    """What a task has besides if it tells more of how it goes than whether it is done."""
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """What it tells."""
+        ...
+
+    def measure(self, state: Any) -> dict[str, jax.Array]:
+        """Name of each of ``measures``, in their order -> its value now ()."""
+        ...
+
+
 @runtime_checkable
 class Loaded(Protocol):
     """What a task has besides if its tool weighs on the arm that holds it."""

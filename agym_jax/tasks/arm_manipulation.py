@@ -32,7 +32,15 @@ from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed, ToolSensed
-from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import (
+    Control,
+    HumanSpec,
+    Measure,
+    Pose,
+    Preferences,
+    SeatSpec,
+    ToolSpec,
+)
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 
 _RAD = math.pi / 180.0
@@ -228,6 +236,17 @@ class ArmManipulation:
     def success(self, state: ArmState) -> Array:
         """Whether the arm has been near enough at some time ()."""
         return state.best >= self.config.close
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """See ``measure``."""
+        return (
+            Measure("distance", "m", "from elbow to waist and from hand to hips, both together"),
+        )
+
+    def measure(self, state: ArmState) -> dict[str, Array]:
+        """How far the arm is from where it belongs, now."""
+        return {"distance": -state.nearness}
 
     def markers(self, state: ArmState) -> list[tuple[Array, float, tuple[float, ...]]]:
         """AG draws nothing here."""

@@ -26,7 +26,15 @@ from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import (
+    Control,
+    HumanSpec,
+    Measure,
+    Pose,
+    Preferences,
+    SeatSpec,
+    ToolSpec,
+)
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 
 _H = math.sqrt(0.5)
@@ -244,6 +252,15 @@ class BedBathing:
         """Whether 30 % of the points have been wiped ()."""
         total = jnp.sum(state.exists)
         return total - jnp.sum(state.dirty) >= self.config.wiped * total
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """See ``measure``."""
+        return (Measure("wiped", "1", "share of the skin of upper arm and forearm that is wiped"),)
+
+    def measure(self, state: BathState) -> dict[str, Array]:
+        """Share of the points that have been wiped; they lie at even distances on the skin."""
+        return {"wiped": 1.0 - jnp.sum(state.dirty) / jnp.maximum(jnp.sum(state.exists), 1.0)}
 
     def markers(self, state: BathState) -> list[tuple[Array, float, tuple[float, ...]]]:
         """Points to draw: those not wiped yet. AG: cyan spheres of 1 cm; drawn smaller here."""

@@ -42,7 +42,7 @@ from agym_jax.matter.shapes import Capsules
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import DRESSING_TERMS, dressing_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, Goal, HumanSpec, Preferences, SeatSpec, Surface
+from agym_jax.spec import Control, Goal, HumanSpec, Measure, Preferences, SeatSpec, Surface
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso
 
 _RAD = math.pi / 180.0
@@ -323,6 +323,15 @@ class Dressing:
     def success(self, state: DressState) -> Array:
         """Whether the sleeve has been far enough up the arm ()."""
         return state.best >= self.config.dressed
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """See ``measure``."""
+        return (Measure("covered", "1", "share of the arm's length that is in the sleeve"),)
+
+    def measure(self, state: DressState) -> dict[str, Array]:
+        """How far the cuff is up the arm now: 0 at the tip of the hand, 1 at the shoulder."""
+        return {"covered": state.progress}
 
     def markers(self, state: DressState) -> list[tuple[Array, float, tuple[float, ...]]]:
         """Nothing: the gown is a surface."""

@@ -28,7 +28,16 @@ from agym_jax.matter.particles.solver import FOOD, Contact, Particles, ParticleS
 from agym_jax.matter.shapes import Boxes
 from agym_jax.preferences import MEAL_TERMS, PREFERENCE_TERMS, meal_terms, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, Goal, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import (
+    Control,
+    Goal,
+    HumanSpec,
+    Measure,
+    Pose,
+    Preferences,
+    SeatSpec,
+    ToolSpec,
+)
 from agym_jax.tasks.shared import meals
 from agym_jax.tasks.shared.meals import Outcome
 
@@ -202,6 +211,19 @@ class Feeding:
     def success(self, state: FeedState) -> Array:
         """Whether three quarters of the food have been eaten ()."""
         return state.eaten >= self.config.share * self.food.count
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """See ``measure``."""
+        return (
+            Measure("eaten", "1", "share of the food that is eaten"),
+            Measure("spilled", "1", "share of the food that is spilled"),
+        )
+
+    def measure(self, state: FeedState) -> dict[str, Array]:
+        """Shares of the pieces that have been eaten and spilled."""
+        eaten, spilled = meals.delivered(state.food, state.eaten, state.lost)
+        return {"eaten": eaten, "spilled": spilled}
 
     def markers(self, state: FeedState) -> list[tuple[Array, float, tuple[float, ...]]]:
         """The food that is still there, and AG's green sphere at the mouth."""

@@ -23,7 +23,7 @@ from agym_jax.human.body import HEAD
 from agym_jax.observe import column, observation
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, Goal, HumanSpec, Preferences, SeatSpec
+from agym_jax.spec import Control, Goal, HumanSpec, Measure, Preferences, SeatSpec
 
 _RAD = math.pi / 180.0
 
@@ -163,6 +163,15 @@ class Reaching:
     def success(self, state: ReachState) -> Array:
         """Whether the hand is at the mouth now ()."""
         return state.distance <= self.config.reached
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """See ``measure``."""
+        return (Measure("distance", "m", "from hand to mouth"),)
+
+    def measure(self, state: ReachState) -> dict[str, Array]:
+        """How far the hand is from the mouth."""
+        return {"distance": state.distance}
 
     def markers(self, state: ReachState) -> list[tuple[Array, float, tuple[float, ...]]]:
         """Points to draw: a green sphere of 1 cm at the mouth."""

@@ -19,7 +19,15 @@ from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, HumanSpec, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import (
+    Control,
+    HumanSpec,
+    Measure,
+    Pose,
+    Preferences,
+    SeatSpec,
+    ToolSpec,
+)
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 
 _H = math.sqrt(0.5)
@@ -239,6 +247,15 @@ class ScratchItch:
     def success(self, state: ItchState) -> Array:
         """Whether 25 scratches have counted ()."""
         return state.scratches >= self.config.scratches
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """See ``measure``."""
+        return (Measure("scratches", "1", "scratches of the itch"),)
+
+    def measure(self, state: ItchState) -> dict[str, Array]:
+        """Scratches that have counted."""
+        return {"scratches": state.scratches}
 
     def markers(self, state: ItchState) -> list[tuple[Array, float, tuple[float, ...]]]:
         """Points to draw: world position, radius [m], colour. AG: a cyan sphere of 1 cm."""

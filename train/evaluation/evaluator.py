@@ -20,6 +20,7 @@ from agym_jax.policy.agents import TREES, AnyPolicy
 from ..envs import is_native, vectorize
 from ..learning.execution import ONE_PROGRAM, STEPWISE, Execution, execution_of
 from ..learning.rollout import Observed, split_keys
+from .people import people_in
 from .score import EvaluationResult, add_step, result_of, zero_sums
 
 Watch = Callable[[Any], None]
@@ -37,7 +38,7 @@ def run_episodes(
     execution: Execution,
     watch: Watch | None = None,
 ) -> dict[str, jax.Array]:
-    """Sums over the first episode of each environment.
+    """Sums over the first episode of each environment, and who its person was.
 
     Args:
         venv: environments, as a batch.
@@ -63,7 +64,7 @@ def run_episodes(
         watch(first)
     start = (first, jnp.ones(venv.num_envs, jnp.float32), zero_sums(first, venv.num_envs))
     (_, _, sums), _ = execution.scan(step, start, split_keys(key_steps, episode_length))
-    return sums
+    return sums | people_in(first)
 
 
 class Evaluator:

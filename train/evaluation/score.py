@@ -19,6 +19,8 @@ from .gentleness import (
     gentleness_of,
     zero_gentleness,
 )
+from .outcome import UNDONE, Outcome, outcome_gains, outcome_of, zero_outcome
+from .people import Group, People, by_group, people_of, rows, worst
 
 
 def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
@@ -53,6 +55,8 @@ class EvaluationResult:
         overflow: steps in which the physics lost contacts, all episodes.
         seconds: time of the rollout, compiling included.
         gentleness: peaks of that force, and steps above limits; None where the environment does not measure them.
+        outcome: how far the task got in its own units, and when it was done.
+        people: who was helped; None where the environment does not tell.
     """
 
     env: str
@@ -63,6 +67,8 @@ class EvaluationResult:
     overflow: int
     seconds: float
     gentleness: Gentleness | None = None
+    outcome: Outcome | None = None
+    people: People | None = None
 
     @property
     def episodes(self) -> int:
@@ -89,10 +95,21 @@ class EvaluationResult:
         """Share of episodes that succeeded gently; None where that is not measured."""
         return None if self.gentle_successes is None else float(np.mean(self.gentle_successes))
 
-    def table(self) -> str:
-        """The result for people."""
+    @property
+    def groups(self) -> list[Group]:
+        """Success by sex, impairment and size of the person; empty where the environment does not tell."""
+        if self.people is None:
+            return []
+        return by_group(self.people, self.successes, self.gentle_successes)
+
+    def table(self, groups: bool = False) -> str:
+        """The result for people.
+
+        Args:
+            groups: success of each group of people, too.
+        """
         low, high = self.success_interval
-        rows = [
+        lines = [
             ("return", f"{self.returns.mean():9.2f} ± {self.returns.std():.2f}"),
             ("force on the person [N]", f"{self.forces.mean():9.2f} ± {self.forces.std():.2f}"),
             ("success", f"{self.success:9.1%}   95 % interval {low:.1%} to {high:.1%}"),
@@ -101,12 +118,19 @@ class EvaluationResult:
         if self.gentleness is not None and gentle is not None:
             low, high = wilson_interval(int(gentle.sum()), self.episodes)
             interval = f"{gentle.mean():9.1%}   95 % interval {low:.1%} to {high:.1%}"
-            rows += [("gentle success", interval), *self.gentleness.rows()]
-        rows.append(("episodes that went NaN", f"{int(self.nan.sum()):9d}"))
+            lines += [("gentle success", interval), *self.gentleness.rows()]
+        if self.outcome is not None:
+            lines += self.outcome.rows()
+        least = worst(self.groups)
+        if groups:
+            lines += rows(self.groups)
+        elif least:
+            lines.append(("least helped", f"{rows([least])[0][1]}: {least.name}"))
+        lines.append(("episodes that went NaN", f"{int(self.nan.sum()):9d}"))
         if self.overflow:
-            rows.append(("steps with lost contacts", f"{self.overflow:9d}   do not trust these"))
+            lines.append(("steps with lost contacts", f"{self.overflow:9d}   do not trust these"))
         head = f"{self.env}, {self.episodes} episodes"
-        return "\n".join([head] + [f"  {name:<24}{value}" for name, value in rows])
+        return "\n".join([head] + [f"  {name:<24}{value}" for name, value in lines])
 
     def summary(self) -> dict[str, Any]:
         """The result for a JSON line."""
@@ -131,6 +155,8 @@ class EvaluationResult:
             "success_low": low,
             "success_high": high,
             **gentle,
+            **({} if self.outcome is None else self.outcome.summary()),
+            **({} if self.people is None else {"groups": [vars(x) for x in self.groups]}),
             "nan_episodes": int(self.nan.sum()),
             "overflow": self.overflow,
             "seconds": round(self.seconds, 2),
@@ -146,7 +172,8 @@ def zero_sums(first: Any, num_envs: int) -> dict[str, jax.Array]:
     """
     names = ("return", "force", "length", "success", "nan", "overflow")
     zeros = jnp.zeros(num_envs, jnp.float32)
-    return dict.fromkeys(names, zeros) | zero_gentleness(first, num_envs)
+    sums = dict.fromkeys(names, zeros) | zero_outcome(first, zeros)
+    return sums | zero_gentleness(first, num_envs)
 
 
 def add_step(
@@ -170,6 +197,7 @@ def add_step(
         "success": metrics.get("success", zero) * state.done,
         "nan": metrics.get("nan", zero),
         "overflow": metrics.get("overflow", zero),
+        **outcome_gains(state, sums["length"] + 1),
         **gentleness_gains(state),
     }
 
@@ -177,7 +205,7 @@ def add_step(
         total = sums[name]
         # not a product: what comes after a failure may not be finite
         gain = jnp.where(jnp.expand_dims(going, range(1, total.ndim)) > 0, gain, 0.0)
-        return jnp.maximum(total, gain) if name in MAXIMA else total + gain
+        return jnp.maximum(total, gain) if name in (*MAXIMA, UNDONE) else total + gain
 
     return going * (1 - state.done), {name: joined(name, gain) for name, gain in gains.items()}
 
@@ -185,13 +213,16 @@ def add_step(
 def result_of(env: Any, sums: Mapping[str, Any], seconds: float) -> EvaluationResult:
     """The result that the sums of all steps make, of an environment."""
     sums = {name: np.asarray(value) for name, value in sums.items()}
+    successes = sums["success"] > 0.5
     return EvaluationResult(
         env=env.name,
         returns=sums["return"],
         forces=sums["force"] / np.maximum(sums["length"], 1),
-        successes=sums["success"] > 0.5,
+        successes=successes,
         nan=sums["nan"] > 0,
         overflow=int(sums["overflow"].sum()),
         seconds=seconds,
         gentleness=gentleness_of(sums, getattr(env, "comfort", None)),
+        outcome=outcome_of(env, sums, successes),
+        people=people_of(sums),
     )

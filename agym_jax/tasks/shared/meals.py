@@ -166,6 +166,19 @@ def privileged_obs(matter: Particles, eaten: Array, mouth_pos_w: Array) -> Array
     return jnp.concatenate([shares, off.sum(0) / jnp.maximum(left, 1.0)])
 
 
+def delivered(matter: Particles, eaten: Array, lost: Array) -> tuple[Array, Array]:
+    """Shares of the particles that have been eaten, and that are gone otherwise, each ().
+
+    Args:
+        matter: food or water.
+        eaten: how many particles ().
+        lost: how many went non-finite, which is neither ().
+    """
+    count = len(matter.alive)
+    left = jnp.sum(matter.alive, dtype=jnp.float32)
+    return eaten / count, (count - left - eaten - lost) / count
+
+
 def drawn(pos_w: Array, alive: Array) -> Array:
     """Positions for pictures: NaN where a particle is gone (n, 3)."""
     return jnp.where(alive[:, None], pos_w, jnp.nan)

@@ -1,0 +1,147 @@
+# ruff: noqa: D103 (a test's name says what it shows)
+"""What an evaluation tells in the units of care: how far, how fast, and for whom."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from fake_env import FakeEnv
+from fake_press_env import FakePressEnv
+
+import agym_jax
+from agym_jax.spec import Measure
+from train.evaluate import evaluate
+from train.evaluation.people import People, by_group, people_in, worst
+
+
+@dataclass
+class Counting(FakeEnv):
+    """Tells how many steps were made; the task is done in the steps of ``done_in``."""
+
+    done_in: tuple[int, ...] = ()
+    dt: float = 0.1
+    task: Any = field(
+        default_factory=lambda: SimpleNamespace(measures=(Measure("steps", "1", "steps made"),))
+    )
+
+    def _first(self, key):
+        first = super()._first(key)
+        return first.replace(metrics=first.metrics | {"task/steps": jnp.zeros(())})
+
+    def step(self, state, action):
+        """One step more."""
+        after, number = super().step(state, action), state.time + 1
+        success = jnp.isin(number, jnp.array(self.done_in, number.dtype))
+        counted = {"task/steps": number.astype(jnp.float32), "success": jnp.float32(success)}
+        return after.replace(metrics=after.metrics | counted)
+
+
+@pytest.mark.parametrize(
+    ("done_in", "seconds"),
+    [
+        (range(1, 21), 0.1),
+        (range(8, 21), 0.8),
+        ([3, 4, *range(15, 21)], 1.5),  # reached, left, and reached for good
+        ([20], 2.0),
+        ([5, 6], None),
+        ([], None),
+    ],
+)
+def test_the_time_to_success_is_that_from_which_on_the_task_is_done(done_in, seconds):
+    env = Counting(done_in=tuple(done_in) or (-1,))
+    assert env.episode_length == 20
+    found = evaluate(env, "zero", 3)
+    assert found.outcome.median_time == pytest.approx(seconds)
+    assert found.summary()["time_to_success"] == pytest.approx(seconds)
+    assert ("time to success" in found.table()) == (seconds is not None)
+
+
+def test_a_measure_is_that_of_the_last_step_of_the_first_episode():
+    found = evaluate(Counting(done_in=(20,)), "zero", 4)
+    assert found.outcome.values["steps"].tolist() == [20.0] * 4
+    assert found.summary()["task/steps"] == 20.0 and "steps made" in found.table()
+
+
+def people(**changes) -> People:
+    usual = {
+        "sex": np.tile([0.0, 1.0], 50),
+        "stature": np.ones(100),
+        "girth": np.ones(100),
+        "strength": np.ones(100),
+        "limit_scale": np.ones(100),
+        "tremor": np.zeros(100),
+    }
+    return People(**usual | changes)
+
+
+def test_groups_are_those_of_sex_impairment_and_size():
+    tremor, strength = np.zeros(100), np.ones(100)
+    tremor[:10], strength[10:30] = 0.1, 0.5
+    groups = people(tremor=tremor, strength=strength).groups()
+    assert {name: int(mask.sum()) for name, mask in groups.items()} == {
+        "men": 50,
+        "women": 50,
+        "without impairment": 70,
+        "with weakness": 20,
+        "with tremor": 10,
+    }
+    girth = np.random.default_rng(0).permutation(np.linspace(0.9, 1.15, 100))
+    groups = people(girth=girth).groups()
+    fifths = [mask for name, mask in groups.items() if "fifth" in name]
+    assert len(fifths) == 5 and np.sum(fifths, 0).tolist() == [1] * 100
+    assert girth[groups["stoutest fifth"]].min() > girth[~groups["stoutest fifth"]].max()
+    assert girth[groups["slimmest fifth"]].max() < girth[~groups["slimmest fifth"]].min()
+
+
+def test_the_worst_group_is_none_of_a_few_people():
+    strength, successes = np.ones(100), np.ones(100, bool)
+    strength[:10] = 0.5  # ten people: too few, though nobody of them is helped
+    successes[:10] = False
+    successes[51::2] = False
+    found = by_group(people(strength=strength), successes, successes)
+    assert {x.name: x.success for x in found}["with weakness"] == 0.0
+    assert worst(found).name == "women" and worst(found).success == pytest.approx(0.4)
+    assert worst([]) is None
+
+
+def test_environments_without_people_have_no_groups():
+    found = evaluate(FakePressEnv(), "zero", 3)
+    assert people_in(SimpleNamespace()) == {} and found.people is None and found.groups == []
+    assert "groups" not in found.summary() and "least helped" not in found.table()
+
+
+@pytest.fixture(scope="module")
+def reaching():
+    env = agym_jax.make(
+        "ReachingJaco-v0",
+        "native",
+        humans=agym_jax.Population(sizes="continuous"),
+        episode_length=5,
+    )
+    return evaluate(env, "zero", 60, 3)
+
+
+def test_people_are_those_of_the_episodes(reaching):
+    found = reaching.people
+    assert (
+        len(np.unique(found.girth)) == 60 and 0.9 <= found.girth.min() < found.girth.max() <= 1.15
+    )
+    groups = found.groups()
+    kinds = ("without impairment", "with limited joints", "with weakness", "with tremor")
+    assert sum(groups[x].sum() for x in kinds) == 60  # one of them each
+    assert groups["stoutest fifth"].sum() == 12
+    line = reaching.summary()
+    assert {x["name"] for x in line["groups"]} == set(groups)
+    text = reaching.table(groups=True)
+    assert "stoutest fifth" in text and "stoutest fifth" not in reaching.table()
+
+
+def test_what_the_task_measures_is_told(reaching):
+    # nobody moves: the hand is as far away as in the beginning
+    assert 0.2 < reaching.outcome.values["distance"].min() < 1.0
+    assert "distance [m]" in reaching.table() and "from hand to mouth" in reaching.table()

@@ -27,19 +27,23 @@ THEIRS = "assistive-gym"
 Line = dict[str, Any]
 
 
-def read_results(name: str, keys: Sequence[str], folder: Path = RESULTS) -> list[Line]:
+def read_results(
+    name: str, keys: Sequence[str], folder: Path = RESULTS, changed: bool = False
+) -> list[Line]:
     """Result lines of one kind, the newest of each configuration. Those of other settings than the ids' are left out.
 
     Args:
         name: file without suffix.
         keys: fields that make a configuration.
         folder: where results lie.
+        changed: keep those of other settings.
     """
     path = folder / f"{name}.jsonl"
+    other = ("overflow",) if changed else ("overflow", "changes", "other_than_in_training")
     text = path.read_text() if path.is_file() else ""
     newest: dict[tuple, Line] = {}
     for line in (json.loads(row) for row in text.splitlines() if row.strip()):
-        if not any(line.get(x) for x in ("overflow", "changes", "other_than_in_training")):
+        if not any(line.get(x) for x in other):
             configuration = tuple(line.get(key) for key in keys)
             newest.pop(configuration, None)
             newest[configuration] = line

@@ -3,11 +3,13 @@
     python -m benchmarks.shipped --parallel 8 --num-episodes 1000 --json shipped.jsonl
     python -m benchmarks.shipped --impl native --num-episodes 5 --only ScratchItchJaco FeedingPR2Human
 
-Each evaluation is a process of its own. A figure agrees where the two 95 % intervals of success overlap.
+Each evaluation is a process of its own. A figure agrees where the two 95 % intervals of success overlap. With
+``--flags="--humans.sizes continuous"``, or other flags of ``agym-jax evaluate``, nothing is compared.
 """
 
 from __future__ import annotations
 
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -39,6 +41,8 @@ class ShippedConfig:
     """Physics: "jax", "warp", "native" or "auto"."""
     seed: int | None = None
     """Seed of the episodes; without it, that of the recorded evaluation."""
+    flags: str = ""
+    """Further flags of ``agym-jax evaluate``."""
     json: Path | None = None
     """File to which each result is added as a JSON line."""
 
@@ -59,6 +63,7 @@ def evaluate(env_name: str, seed: int, config: ShippedConfig, folder: Path) -> d
     command = [
         sys.executable, "-m", "train.evaluate", "--env-name", env_name, "--seed", str(seed),
         "--num-episodes", str(config.num_episodes), "--impl", config.impl, "--json", str(file),
+        *shlex.split(config.flags),
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True)
     return json.loads(file.read_text()) if done.returncode == 0 else done.stderr[-500:]
@@ -84,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from train.runs.record import append_record
 
     config = tyro.cli(ShippedConfig, prog="python -m benchmarks.shipped", args=arguments)
-    before, failed, apart = recorded(), 0, 0
+    before, failed, apart = {} if config.flags else recorded(), 0, 0
     for name, line in run(config, before):
         if isinstance(line, str):
             failed += 1

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 
-from benchmarks import cpu_tables, policy_tables
+from benchmarks import care_tables, cpu_tables, policy_tables
 from benchmarks.markdown import (
     RESULTS,
     Line,
@@ -326,6 +326,8 @@ TABLES: dict[str, Callable[..., str]] = {
     "cpu-latency": cpu_tables.latency,
     "laptop": cpu_tables.laptop,
     "in-assistive-gym": in_assistive_gym,
+    "everybody": care_tables.everybody,
+    "care": care_tables.care,
 }
 
 

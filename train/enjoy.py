@@ -1,11 +1,12 @@
 """Watch a policy: ``agym-jax enjoy --env-name ScratchItchJaco-v0 --clip scratch.gif``.
 
 One environment on the CPU, with C MuJoCo's physics; the seed decides the episodes. Writes a film, a sheet of pictures, or opens
-MuJoCo's viewer, and prints each episode's return, force and success.
+MuJoCo's viewer, and prints each episode's return, force and success. ``--ending failure`` looks for episodes that fail.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import sys
@@ -14,7 +15,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 
@@ -30,9 +31,12 @@ from agym_jax.sim.pictures import check_camera
 
 from .envs import jit_functions, make_env
 from .errors import ConfigError, reports_errors
-from .learning.rollout import FORCE_KEY
+from .learning.rollout import COMFORT_KEY, FORCE_KEY
 
 SHEET_PICTURES = 20
+LOOK_THROUGH = 300
+"""Episodes among which one with a wanted ending is looked for."""
+Ending = Literal["any", "success", "failure", "rough"]
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 """Environment variables of which one names the screen, on Linux."""
 
@@ -45,6 +49,8 @@ class EnjoyConfig(PolicyFlags):
     """How many episodes, one after the other."""
     seed: int = 1001
     """Seed of the first episode; the next ones have the seeds after it."""
+    ending: Ending = "any"
+    """Show only episodes that end in success or failure, or are rough: somewhere pressed harder than is comfortable."""
     impl: str = "native"
     """Physics: "native" (C MuJoCo, quick to start) or "jax" (MJX, as in training)."""
     clip: Path | None = None
@@ -95,6 +101,7 @@ class Frame:
         force: force on the person in this step [N].
         success: whether the task is done.
         over: whether the episode ends here.
+        of_comfort: share of a comfort limit that was reached in this step; above 1, it was exceeded.
     """
 
     state: Any
@@ -103,6 +110,7 @@ class Frame:
     force: float
     success: bool
     over: bool
+    of_comfort: float = 0.0
 
 
 class Player:
@@ -126,9 +134,40 @@ class Player:
             force = float(state.metrics.get(FORCE_KEY, 0.0))
             success = bool(state.metrics.get("success", 0.0) > 0.5)
             over = bool(state.done > 0)
-            yield Frame(state, step, total, force, success, over)
+            of_comfort = float(state.metrics.get(COMFORT_KEY, 0.0))
+            yield Frame(state, step, total, force, success, over, of_comfort)
             if over:
                 return
+
+    def episodes(self, seed: int, ending: Ending) -> Iterator[tuple[int, Iterator[Frame]]]:
+        """Seeds of episodes with an ending, and their frames.
+
+        Args:
+            seed: the first that is looked at.
+            ending: of the episodes.
+
+        Raises:
+            ConfigError: there is no further one within ``LOOK_THROUGH`` seeds.
+        """
+        if ending == "any":
+            while True:
+                yield seed, self.episode(seed)
+                seed += 1
+        for number in range(seed, seed + LOOK_THROUGH):
+            frames = list(self.episode(number))
+            if ends_so(frames, ending):
+                yield number, iter(frames)
+        raise ConfigError(
+            f"No further episode of {self.env.name} among the seeds {seed} to {seed + LOOK_THROUGH - 1} {'is rough' if ending == 'rough' else f'ends in {ending}'}. "
+            "Try another --seed, or --ending any."
+        )
+
+
+def ends_so(frames: Sequence[Frame], ending: Ending) -> bool:
+    """Whether an episode has an ending."""
+    if ending == "rough":
+        return any(frame.of_comfort > 1 for frame in frames)
+    return ending == "any" or frames[-1].success == (ending == "success")
 
 
 def caption(frame: Frame) -> str:
@@ -197,15 +236,15 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
     """Play, print and record what the flags ask for; returns the last frame of each episode."""
     player = Player(env, policy, deterministic=not config.non_det)
     pictures, labels, lasts = [], [], []
-    for number in range(config.episodes):
-        frames = player.episode(config.seed + number)
+    found = player.episodes(config.seed, config.ending)
+    for number, (seed, frames) in enumerate(itertools.islice(found, config.episodes), 1):
         frames = watch(env, frames, config.visuals) if config.viewer else list(frames)
         last = frames[-1]
         force = sum(frame.force for frame in frames) / max(1, last.step)
         done = "success" if last.success else "no success"
         cut = "" if last.over else ", stopped early"
         print(
-            f"{env.name} episode {number + 1}, seed {config.seed + number}: {last.step} steps, "
+            f"{env.name} episode {number}, seed {seed}: {last.step} steps, "
             f"return {last.total:.1f}, mean force {force:.2f} N, {done}{cut}"
         )
         lasts.append(last)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 
 import jax
@@ -202,6 +203,23 @@ def test_enjoy_shows_an_episode(tmp_path, capsys):
     assert clip.read_bytes()[:3] == b"GIF" and sheet.read_bytes()[:4] == b"\x89PNG"
     assert enjoy.main(words.split(), lambda *_: FakeEnv(episode_length=6)) == 0
     assert capsys.readouterr().out == out  # the seed decides
+
+
+@pytest.mark.parametrize("ending", ["success", "failure", "rough"])
+def test_enjoy_shows_only_episodes_that_end_so(ending, monkeypatch):
+    def finger(newtons):
+        act = lambda obs, key, deterministic: jnp.full(2, newtons / HARDEST * 2 - 1)  # noqa: E731
+        return enjoy.Player(FakePressEnv(), act)
+
+    monkeypatch.setattr(enjoy, "LOOK_THROUGH", 4)
+    so, otherwise = (3.0, 30.0) if ending == "failure" else (30.0, 3.0)
+    found = list(itertools.islice(finger(so).episodes(1001, ending), 2))
+    assert [seed for seed, _ in found] == [1001, 1002]
+    assert all(enjoy.ends_so(list(frames), ending) for _, frames in found)
+    with pytest.raises(
+        ConfigError, match="No further episode of FakePress-v0 among the seeds 5 to 8"
+    ):
+        next(finger(otherwise).episodes(5, ending))
 
 
 def test_enjoy_refuses_a_wrong_suffix_at_once(capsys):

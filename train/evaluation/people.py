@@ -77,6 +77,18 @@ def people_of(sums: Mapping[str, np.ndarray]) -> People | None:
     return People(**{x.name: sums[f"{PREFIX}{x.name}"] for x in fields(People)})
 
 
+def describe(human: Any) -> str:
+    """One person in words: "a woman with tremor"."""
+    found = [
+        ("limited joints", human.limit_scale < 1),
+        ("weakness", human.strength < 1),
+        ("tremor", (abs(human.tremor) > 0).any()),
+    ]
+    impairments = " and ".join(name for name, there in found if there)
+    who = "a woman" if human.sex >= 0.5 else "a man"
+    return f"{who} with {impairments}" if impairments else f"{who} without impairment"
+
+
 @dataclass(frozen=True)
 class Group:
     """What an evaluation found among the people of one group."""

@@ -1,0 +1,69 @@
+"""Tables of ``benchmarks.tables`` about people of every size: whom policies help, how gently, how far and how fast."""
+
+from __future__ import annotations
+
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+from agym_jax.registry import parse
+from benchmarks.markdown import RESULTS, Line, read_results, table
+from train.evaluation.people import LEAST
+
+ORDER = itemgetter("env")
+
+
+def _lines(folder: Path) -> list[Line]:
+    return read_results("everybody", ("env",), folder, changed=True)
+
+
+def _group(line: Line, of: str) -> str:
+    """The group of people with the least of something, and how much it is."""
+    large = [x for x in line["groups"] if x["episodes"] >= LEAST]
+    found = min(large, key=itemgetter(of))
+    return f"{found[of]:.0%} ({found['name']})"
+
+
+def everybody(folder: Path = RESULTS) -> str:
+    """Success and gentle success of shipped policies among people of every size, and of the group that fares worst."""
+    lines = read_results("evaluation", ("env", "policy"), folder)
+    known = {x["env"]: x for x in lines if x["policy"] == "mode"}
+
+    def usual(line: Line) -> str:
+        return f"{known[line['env']]['success']:.1%}" if line["env"] in known else ""
+
+    columns = {
+        "environment": ORDER,
+        "Assistive Gym's two bodies": usual,
+        "every size": lambda x: f"{x['success']:.1%}",
+        "worst group": lambda x: _group(x, "success"),
+        "gently": lambda x: f"{x['gentle_success']:.1%}",
+        "worst group, gently": lambda x: _group(x, "gentle_success"),
+    }
+    return table(_lines(folder), columns, ORDER, _note(_lines(folder)))
+
+
+def care(folder: Path = RESULTS) -> str:
+    """How far the tasks got in the units of care, and how long it took."""
+    columns = {
+        "environment": ORDER,
+        "at the end of the episode, mean": _how_far,
+        "time to success, median": lambda x: f"{x['time_to_success']:.1f} s",
+    }
+    return table(_lines(folder), columns, ORDER, _note(_lines(folder)))
+
+
+def _how_far(line: Line) -> str:
+    task: Any = parse(line["env"]).task
+    found = []
+    for measure in task.measures:
+        value = line[f"task/{measure.name}"]
+        share = measure.unit == "1" and measure.words.startswith("share")
+        shown = f"{value:.0%}" if share else f"{value:.3g}{' m' * (measure.unit == 'm')}"
+        found.append(f"{shown} {measure.name}")
+    return ", ".join(found)
+
+
+def _note(lines: list[Line]) -> str:
+    counts = sorted({x["episodes"] for x in lines}, reverse=True)
+    return f"{', '.join(f'{x:,}' for x in counts)} episodes of each policy, mode;"

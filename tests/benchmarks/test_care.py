@@ -1,0 +1,97 @@
+# ruff: noqa: D103
+"""Tables and pictures of docs/care.md, and policies measured among other people."""
+
+from __future__ import annotations
+
+import json
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks import care_tables, failures, shipped
+from train.evaluation.people import describe
+
+
+def group(name, episodes, success, gentle):
+    return {"name": name, "episodes": episodes, "success": success, "gentle_success": gentle}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    about = {"device": {"kind": "CPU"}, "commit": "abcdef12", "time": "2026-11-24T00:00:00"}
+    line = about | {
+        "env": "BedBathingPR2-v0",
+        "episodes": 100,
+        "success": 0.5,
+        "gentle_success": 0.2,
+        "task/wiped": 0.3456,
+        "time_to_success": 12.34,
+        "other_than_in_training": "humans.sizes",
+        "groups": [
+            group("men", 60, 0.7, 0.1),
+            group("women", 40, 0.2, 0.3),
+            group("with tremor", 5, 0.0, 0.0),  # five people are no group
+        ],
+    }
+    (tmp_path / "everybody.jsonl").write_text(json.dumps(line) + "\n")
+    usual = about | {"env": "BedBathingPR2-v0", "success": 0.6, "policy": "mode"}
+    other = usual | {"policy": "random", "success": 0.0}
+    (tmp_path / "evaluation.jsonl").write_text(f"{json.dumps(usual)}\n{json.dumps(other)}\n")
+    return tmp_path
+
+
+def test_the_group_that_fares_worst_is_named(folder):
+    row = care_tables.everybody(folder).splitlines()[2]
+    assert row == "| BedBathingPR2-v0 | 60.0% | 50.0% | 20% (women) | 20.0% | 10% (men) |"
+
+
+def test_units_of_care_are_those_of_the_task(folder):
+    row = care_tables.care(folder).splitlines()[2]
+    assert row == "| BedBathingPR2-v0 | 35% wiped | 12.3 s |"
+
+
+def test_a_page_without_results_says_so(tmp_path):
+    assert "|" not in care_tables.everybody(tmp_path) and "|" not in care_tables.care(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "a man without impairment"),
+        ({"sex": 1.0, "tremor": np.array([0.0, -0.1])}, "a woman with tremor"),
+        ({"strength": 0.5, "limit_scale": 0.7}, "a man with limited joints and weakness"),
+    ],
+)
+def test_a_person_in_words(changes, words):
+    usual = {"sex": 0.0, "strength": 1.0, "limit_scale": 1.0, "tremor": np.zeros(2)}
+    assert describe(SimpleNamespace(**usual | changes)) == words
+
+
+def test_strips_of_failures_are_filled_into_the_page(tmp_path, monkeypatch):
+    monkeypatch.setattr(failures, "FAILURES", tmp_path)
+    (tmp_path / "FeedingPR2-v0.jpg").write_bytes(b"")
+    page = "before\n<!-- failures -->\nold\n<!-- /failures -->\nafter"
+    found = failures.fill(page)
+    assert found.startswith("before\n<!-- failures -->\n**FeedingPR2-v0**") and "old" not in found
+    assert "(images/failures/FeedingPR2-v0.jpg)" in found and found.endswith("\nafter")
+    assert failures.fill(found) == found
+    assert failures.main(["FeedingPR3-v0"]) == 2
+
+
+def test_policies_can_be_measured_with_other_flags(monkeypatch, capsys, tmp_path):
+    commands = []
+
+    def run(command, **_):
+        commands.append(command)
+        file = command[command.index("--json") + 1]
+        with open(file, "w") as out:
+            json.dump({"success": 0.5, "return_mean": 1.0}, out)
+        return SimpleNamespace(returncode=0)
+
+    monkeypatch.setattr(shipped.subprocess, "run", run)
+    words = ["--only", "FeedingPR2-v0", "--seed", "3", "--flags=--humans.sizes continuous"]
+    assert shipped.main(words) == 0  # what is recorded is of other people: nothing differs from it
+    assert commands[0][0] == sys.executable and commands[0][-2:] == ["--humans.sizes", "continuous"]
+    assert "DIFFERS" not in capsys.readouterr().out

@@ -109,6 +109,15 @@ def test_the_worst_group_is_none_of_a_few_people():
     assert worst([]) is None
 
 
+def test_who_has_no_joint_that_moves_does_not_tremble():
+    human = SimpleNamespace(
+        sex=jnp.zeros(3), stature=jnp.ones(3), girth=jnp.ones(3), strength=jnp.ones(3),
+        limit_scale=jnp.ones(3), tremor=jnp.zeros((3, 0)),
+    )  # fmt: skip
+    found = people_in(SimpleNamespace(episode=SimpleNamespace(human=human)))
+    assert found["person/tremor"].tolist() == [0, 0, 0]
+
+
 def test_environments_without_people_have_no_groups():
     found = evaluate(FakePressEnv(), "zero", 3)
     assert people_in(SimpleNamespace()) == {} and found.people is None and found.groups == []

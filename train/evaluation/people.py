@@ -26,7 +26,7 @@ class People:
         girth: radius scale.
         strength: of the muscles; 1 is full.
         limit_scale: of the joint limits; 1 is the full range.
-        tremor: largest amplitude of a joint [rad].
+        tremor: largest amplitude of a joint [rad]; 0 where no joint moves, as of somebody who lies still in bed.
     """
 
     sex: np.ndarray
@@ -67,7 +67,7 @@ def people_in(first: Any) -> dict[str, Any]:
     if human is None:
         return {}
     found = {f"{PREFIX}{x.name}": getattr(human, x.name) for x in fields(People)}
-    return found | {f"{PREFIX}tremor": abs(human.tremor).max(-1)}
+    return found | {f"{PREFIX}tremor": abs(human.tremor).max(-1, initial=0.0)}
 
 
 def people_of(sums: Mapping[str, np.ndarray]) -> People | None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from agym_jax.registry import parse
 from benchmarks.markdown import RESULTS, Line, read_results, table
+from train.evaluation.outcome import in_words
 from train.evaluation.people import LEAST
 
 ORDER = itemgetter("env")
@@ -55,13 +56,7 @@ def care(folder: Path = RESULTS) -> str:
 
 def _how_far(line: Line) -> str:
     task: Any = parse(line["env"]).task
-    found = []
-    for measure in task.measures:
-        value = line[f"task/{measure.name}"]
-        share = measure.unit == "1" and measure.words.startswith("share")
-        shown = f"{value:.0%}" if share else f"{value:.3g}{' m' * (measure.unit == 'm')}"
-        found.append(f"{shown} {measure.name}")
-    return ", ".join(found)
+    return ", ".join(in_words(x, line[f"task/{x.name}"]) for x in task.measures)
 
 
 def _note(lines: list[Line]) -> str:

@@ -27,6 +27,7 @@ from benchmarks.markdown import read_results
 from train.enjoy import EnjoyConfig, Frame, Player, film
 from train.envs import make_env
 from train.errors import ConfigError
+from train.evaluation.outcome import in_words
 from train.evaluation.people import describe
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -72,7 +73,7 @@ def moment(env: Any, frame: Frame) -> str:
     words = [f"{frame.step * env.dt:.0f} s"]
     if isinstance(env.task, Measured):
         values = env.task.measure(frame.state.task)
-        words += [f"{float(values[x.name]):.2g} {x.name}" for x in env.task.measures]
+        words += [in_words(x, float(values[x.name])) for x in env.task.measures]
     return ", ".join(words)
 
 

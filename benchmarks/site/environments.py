@@ -9,9 +9,10 @@ from pathlib import Path
 
 from agym_jax import list_envs, observe
 from agym_jax.changes import settings_of, settings_table
+from agym_jax.metrics import TASK_PREFIX
 from agym_jax.registry import Recipe, active_id, parse, static_id
 from agym_jax.robots import ROBOTS
-from agym_jax.spec import Task
+from agym_jax.spec import Measured, Task
 from agym_jax.tasks import TASKS
 from benchmarks.markdown import EARLIER, Line, is_earlier, read_results
 from benchmarks.policy_tables import shipped
@@ -64,7 +65,7 @@ def page(name: str) -> str:
     recipe = parse(name)
     task = recipe.task
     parts = [f"# {name}", _head(recipe), *_try(name), "## Reward", _rewards(task)]
-    parts += ["## Success", _success(recipe), *_measured(name), "## Observation"]
+    parts += ["## Success", _success(recipe), *_measures(task), *_measured(name), "## Observation"]
     parts += [
         f"What the robot observes, {observe.size(task.robot_obs)} columns:",
         observe.table(task.robot_obs),
@@ -141,6 +142,14 @@ def _rewards(task: Task) -> str:
 
 def _success(recipe: Recipe) -> str:
     return (inspect.getdoc(recipe.task.success) or "").splitlines()[0].replace(" ().", ".")
+
+
+def _measures(task: Task) -> Iterator[str]:
+    """What the task tells besides."""
+    if isinstance(task, Measured):
+        rows = [f"| `{TASK_PREFIX}{x.name}` | {x.unit} | {x.words} |" for x in task.measures]
+        yield "How far it has come is a metric of every step:"
+        yield "\n".join(["| metric | unit | about |", "|---|---|---|", *rows])
 
 
 def _measured(name: str) -> Iterator[str]:

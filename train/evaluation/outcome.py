@@ -16,6 +16,13 @@ UNDONE = "undone_until"
 """Of the sums, a maximum: the last step after which the task was not done."""
 
 
+def in_words(measure: Measure, value: float) -> str:
+    """A measure's value: "35% wiped", "0.58 m distance"."""
+    if measure.unit == "1" and measure.words.startswith("share"):
+        return f"{value:.0%} {measure.name}"
+    return f"{value:.3g}{'' if measure.unit == '1' else f' {measure.unit}'} {measure.name}"
+
+
 @dataclass(frozen=True)
 class Outcome:
     """How the episodes ended; arrays have one entry an episode.

@@ -92,7 +92,8 @@ def nan(folder: Path = RESULTS) -> str:
 def training_speed(folder: Path = RESULTS) -> str:
     """What a second learner costs, and a second device brings."""
     keys = ("env", "impl", "learners", "devices", "num_envs")
-    lines = read_results("training_speed", keys, folder)
+    lines = read_results("training_speed", (*keys, "num_seeds"), folder)
+    lines = [x for x in lines if x.get("num_seeds", 1) == 1]
     one = {(x["env"], x["impl"]): x for x in lines if x["learners"] == x["devices"] == 1}
 
     def relative(x: Line) -> str:
@@ -109,6 +110,21 @@ def training_speed(folder: Path = RESULTS) -> str:
             f"**{x['steps_per_s']:,}** ({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,})"
         ),
         "relative to one learner on one device": relative,
+    }
+    return table(lines, columns, itemgetter(*keys))
+
+
+def seed_speed(folder: Path = RESULTS) -> str:
+    """How fast several seeds learn side by side."""
+    keys = ("env", "impl", "devices", "num_seeds", "num_envs")
+    lines = [x for x in read_results("training_speed", keys, folder) if x.get("num_seeds", 1) > 1]
+    columns = {
+        "environment": lambda x: x["env"],
+        "physics": lambda x: x["impl"],
+        "seeds x parallel envs": lambda x: f"{x['num_seeds']} x {x['num_envs']:,}",
+        "training steps/s of all together, median (range)": lambda x: (
+            f"**{x['steps_per_s']:,}** ({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,})"
+        ),
     }
     return table(lines, columns, itemgetter(*keys))
 
@@ -313,6 +329,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "together": policy_tables.together,
     "seeds": policy_tables.seeds,
     "training-speed": training_speed,
+    "seed-speed": seed_speed,
     "brax-ppo": brax_ppo,
     "resume": resume,
     "kills": kills,

@@ -1,6 +1,7 @@
-"""Environment steps per second of training: one learner or two, on one device or several.
+"""Environment steps per second of training: one learner or two, on one device or several, one seed or several side by side.
 
     python -m benchmarks.training_speed --env-name FeedingJacoHuman-v0 --learners 1 2 --devices 1 2
+    python -m benchmarks.training_speed --env-name ScratchItchJaco-v0 --learners 1 --num-seeds 8
 
 One learner is a policy that sees and moves robot and person together (``train.ppo --allow-joint-observation``).
 Every device has as many environments. Compiling does not count.
@@ -40,7 +41,9 @@ class TrainingSpeedConfig:
     devices: tuple[int, ...] = (1,)
     """How many devices share the work."""
     num_envs: Count = 0
-    """Environments on each device; 0 = as many as training takes."""
+    """Environments of each seed on each device; 0 = as many as training takes."""
+    num_seeds: Count = 1
+    """Seeds that learn side by side; their steps count together."""
     updates: Count = 20
     """In one measurement, rounded up to whole calls."""
     impl: str = "auto"
@@ -67,7 +70,8 @@ def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[st
         "learners": learners,
         "devices": devices,
         "num_envs": result.config.num_envs,
-        "steps": result.env_steps,
+        "num_seeds": config.num_seeds,
+        "steps": result.env_steps * config.num_seeds,
         "steps_per_s": round(statistics.median(speeds)),
         "steps_per_s_min": round(min(speeds)),
         "steps_per_s_max": round(max(speeds)),
@@ -86,6 +90,7 @@ def _settings(settings: Config, config: TrainingSpeedConfig, devices: int) -> Co
         num_env_steps=(CALLS + 1) * each * num_envs * settings.num_steps,
         log_interval=each,
         devices=devices,
+        num_seeds=config.num_seeds,
         save_dir=None,
     )
 

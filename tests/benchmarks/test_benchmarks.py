@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from types import SimpleNamespace
 
@@ -97,6 +98,8 @@ def test_speed_of_training_counts_every_call_but_the_first(monkeypatch):
     assert (
         row["steps"] == 11 * 2 * 32 * 20
     )  # calls, updates of each, environments, steps of a rollout
+    seeds = training_speed.measure(dataclasses.replace(config, num_seeds=3), 2, 2)
+    assert seeds["num_seeds"] == 3 and seeds["steps"] == 3 * row["steps"]
 
 
 def test_speed_of_training_an_unknown_environment_says_what_exists(capsys):
@@ -118,6 +121,13 @@ def test_the_table_of_training_compares_with_one_learner_on_one_device(tmp_path)
     (tmp_path / "training_speed.jsonl").write_text("\n".join(map(json.dumps, (two, one))))
     rows = tables.training_speed(tmp_path).splitlines()[2:4]
     assert [row.split("|")[-2].strip() for row in rows] == ["1.00", "0.75"]
+    seeds = one | {"num_seeds": 8, "steps_per_s": 900}  # of its own: it does not hide the one above
+    (tmp_path / "training_speed.jsonl").write_text("\n".join(map(json.dumps, (two, one, seeds))))
+    assert tables.training_speed(tmp_path).splitlines()[2:4] == rows
+    found = tables.seed_speed(tmp_path).splitlines()
+    assert found[2] == "| A-v0 | warp | 8 x 8 | **900** (1 to 2) |" and "A-v0" not in "".join(
+        found[3:]
+    )
 
 
 def test_what_a_kill_breaks_is_found(tmp_path):

@@ -35,13 +35,14 @@ def everybody(folder: Path = RESULTS) -> str:
 
     columns = {
         "environment": ORDER,
+        "episodes": lambda x: f"{x['episodes']:,}",
         "Assistive Gym's two bodies": usual,
         "every size": lambda x: f"{x['success']:.1%}",
         "worst group": lambda x: _group(x, "success"),
         "gently": lambda x: f"{x['gentle_success']:.1%}",
         "worst group, gently": lambda x: _group(x, "gentle_success"),
     }
-    return table(_lines(folder), columns, ORDER, _note(_lines(folder)))
+    return table(_lines(folder), columns, ORDER, "Mode;")
 
 
 def care(folder: Path = RESULTS) -> str:
@@ -51,14 +52,9 @@ def care(folder: Path = RESULTS) -> str:
         "at the end of the episode, mean": _how_far,
         "time to success, median": lambda x: f"{x['time_to_success']:.1f} s",
     }
-    return table(_lines(folder), columns, ORDER, _note(_lines(folder)))
+    return table(_lines(folder), columns, ORDER, "Mode;")
 
 
 def _how_far(line: Line) -> str:
     task: Any = parse(line["env"]).task
     return ", ".join(in_words(x, line[f"task/{x.name}"]) for x in task.measures)
-
-
-def _note(lines: list[Line]) -> str:
-    counts = sorted({x["episodes"] for x in lines}, reverse=True)
-    return f"{', '.join(f'{x:,}' for x in counts)} episodes of each policy, mode;"

@@ -44,7 +44,7 @@ def folder(tmp_path):
 
 def test_the_group_that_fares_worst_is_named(folder):
     row = care_tables.everybody(folder).splitlines()[2]
-    assert row == "| BedBathingPR2-v0 | 60.0% | 50.0% | 20% (women) | 20.0% | 10% (men) |"
+    assert row == "| BedBathingPR2-v0 | 100 | 60.0% | 50.0% | 20% (women) | 20.0% | 10% (men) |"
 
 
 def test_units_of_care_are_those_of_the_task(folder):

@@ -87,11 +87,14 @@ def test_policies_can_be_measured_with_other_flags(monkeypatch, capsys, tmp_path
         commands.append(command)
         file = command[command.index("--json") + 1]
         with open(file, "w") as out:
-            json.dump({"success": 0.5, "return_mean": 1.0}, out)
+            json.dump({"success": 0.5, "return_mean": 1.0, "policy": file}, out)
         return SimpleNamespace(returncode=0)
 
     monkeypatch.setattr(shipped.subprocess, "run", run)
+    out = tmp_path / "lines.jsonl"
     words = ["--only", "FeedingPR2-v0", "--seed", "3", "--flags=--humans.sizes continuous"]
+    words += ["--json", str(out)]
     assert shipped.main(words) == 0  # what is recorded is of other people: nothing differs from it
     assert commands[0][0] == sys.executable and commands[0][-2:] == ["--humans.sizes", "continuous"]
+    assert json.loads(out.read_text())["policy"] == "mode"  # no path of this machine
     assert "DIFFERS" not in capsys.readouterr().out

@@ -11,3 +11,8 @@ def unshipped() -> str:
     return next(
         name for name in list_envs() if name not in shipped() and not name.endswith("Human-v0")
     )
+
+
+def unshipped_pair() -> str:
+    """One whose person acts."""
+    return next(name for name in list_envs() if name not in shipped() and name.endswith("Human-v0"))

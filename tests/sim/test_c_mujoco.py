@@ -78,6 +78,7 @@ def _as_native(native: agym_jax.Env, state: Any, make_data: Any) -> Any:
     return state.replace(data=make_data.replace(**_motion(native, state), **poses), info={})
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parity
 def test_every_step_of_a_pressing_robot_is_mjxs(native: agym_jax.Env, batch: CompiledBatch):

@@ -30,7 +30,7 @@ from agym_jax.policy.networks import make_networks
 from agym_jax.policy.policy import Policy
 from benchmarks.keep import keep
 from benchmarks.markdown import RESULTS, Line, read_results
-from benchmarks.tables import TRAINERS
+from benchmarks.training_tables import TRAINERS
 from train import ppo
 from train.configs import Count, PPOConfig, config_for, resolve, updates_in
 from train.envs import make_env

@@ -236,3 +236,22 @@ def seeds(folder: Path = RESULTS) -> str:
     episodes = several(f"{x['episodes']:,}" for x in lines)
     note = f"{env}: success, return; {episodes} episodes each;"
     return grid([head, *rows], lines, note)
+
+
+def in_assistive_gym(folder: Path = RESULTS) -> str:
+    """Success of policies in Assistive Gym itself, beside that here."""
+    here = {x["env"]: x["success"] for x in read_results("evaluation", ("env",), folder)}
+
+    def share(x: Line) -> float:
+        return x["successes"] / x["episodes"]
+
+    columns = {
+        "environment": lambda x: x["env"],
+        "success in Assistive Gym": lambda x: f"{x['successes']} of {x['episodes']}",
+        "success here": lambda x: f"{here[x['env']]:.0%}",
+        "share of it": lambda x: f"{share(x) / here[x['env']]:.0%}",
+    }
+    lines = read_results("in_assistive_gym", ("env",), folder)
+    return table(
+        lines, columns, lambda x: -share(x), "Commits are those that trained the policies;"
+    )

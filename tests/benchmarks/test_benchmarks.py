@@ -13,8 +13,7 @@ import pytest
 
 from agym_jax.data.npz import write_npz
 from agym_jax.errors import DamagedFileError
-from benchmarks import compile as starts
-from benchmarks import kills, nan, resume, tables, throughput, training_speed, viewer_speed
+from benchmarks import kills, nan, resume, speed_tables, throughput, training_speed, viewer_speed
 from benchmarks.child import ChildError, run_child
 from train.configs import parse_arguments
 from train.runs.folder import RunFolder
@@ -119,12 +118,12 @@ def test_the_table_of_training_compares_with_one_learner_on_one_device(tmp_path)
     one = about | speeds | {"learners": 1, "devices": 1, "steps_per_s": 200}
     two = about | speeds | {"learners": 2, "devices": 1, "steps_per_s": 150}
     (tmp_path / "training_speed.jsonl").write_text("\n".join(map(json.dumps, (two, one))))
-    rows = tables.training_speed(tmp_path).splitlines()[2:4]
+    rows = speed_tables.training_speed(tmp_path).splitlines()[2:4]
     assert [row.split("|")[-2].strip() for row in rows] == ["1.00", "0.75"]
     seeds = one | {"num_seeds": 8, "steps_per_s": 900}  # of its own: it does not hide the one above
     (tmp_path / "training_speed.jsonl").write_text("\n".join(map(json.dumps, (two, one, seeds))))
-    assert tables.training_speed(tmp_path).splitlines()[2:4] == rows
-    found = tables.seed_speed(tmp_path).splitlines()
+    assert speed_tables.training_speed(tmp_path).splitlines()[2:4] == rows
+    found = speed_tables.seed_speed(tmp_path).splitlines()
     assert found[2] == "| A-v0 | warp | 8 x 8 | **900** (1 to 2) |" and "A-v0" not in "".join(
         found[3:]
     )

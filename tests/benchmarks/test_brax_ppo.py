@@ -14,7 +14,7 @@ import pytest
 from fake_env import FakeEnv, FakeState
 
 from agym_jax.state import select
-from benchmarks import brax_ppo, tables
+from benchmarks import brax_ppo, training_tables
 from benchmarks.brax_ppo import BraxPPOConfig, Curve, measure, settings
 from train.configs import PPOConfig, config_for
 from train.evaluate import Evaluator
@@ -84,7 +84,7 @@ def test_table_and_picture_show_steps_and_seconds(tmp_path):
     }  # fmt: skip
     never = line | {"trainer": "shipped", "steps_to_90": None, "seconds_to_90": None}
     (tmp_path / "brax_ppo.jsonl").write_text("\n".join(map(json.dumps, (never, line))))
-    rows = tables.brax_ppo(tmp_path).splitlines()
+    rows = training_tables.brax_ppo(tmp_path).splitlines()
     assert (
         "| ReachingJaco-v0 | Brax PPO | 0.4 M | 10% | 50% | 95% | 100% | 0.3 M, 30 s |" in rows[2]
     )

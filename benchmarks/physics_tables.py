@@ -1,0 +1,53 @@
+"""Tables of ``benchmarks.tables`` about the simulation itself: NaN, what robots reach, how a gown is pulled."""
+
+from __future__ import annotations
+
+from operator import itemgetter
+from pathlib import Path
+
+from benchmarks.markdown import RESULTS, read_results, table
+
+
+def nan(folder: Path = RESULTS) -> str:
+    """The search for NaN."""
+    columns = {
+        "environment": lambda x: x["env"],
+        "physics": lambda x: x["impl"],
+        "random steps": lambda x: f"{x['total_steps']:,}",
+        "NaN": lambda x: x["nan"],
+        "force on the person, 99.99th percentile": lambda x: f"{x['force/on_human/p99.99']:.1f} N",
+        "maximum": lambda x: f"{x['force/on_human/max']:.1f} N",
+    }
+    lines = read_results("nan", ("env", "impl"), folder)
+    return table(lines, columns, itemgetter("env", "impl"))
+
+
+def reach(folder: Path = RESULTS) -> str:
+    """How many itches a robot can touch at all."""
+    columns = {
+        "environment": lambda x: x["env"],
+        "reachable itches": lambda x: f"{x['reachable']:.0%}",
+        "reachable itches on the quarter of the limb facing the trunk": lambda x: (
+            f"{x['reachable_inner']:.0%}"
+        ),
+    }
+    lines = read_results("reach", ("env",), folder)
+    return table(lines, columns, itemgetter("env"))
+
+
+def pulls(folder: Path = RESULTS) -> str:
+    """What scripted pulls of the gown over a person's arm come to."""
+    columns = {
+        "edge length": lambda x: f"{1000 * x['edge_m']:.1f} mm",
+        "vertices": lambda x: f"{x['vertices']:,}",
+        "pulls": lambda x: f"{x['pulls']:,}",
+        "limb penetrations": lambda x: f"{x['through']}",
+        "pulled 0.4 m up the arm": lambda x: f"{x['beyond_0_4_m']:.1%}",
+        "covers over 80 % of the arm": lambda x: f"{x['progress_above_0_8']:.1%}",
+        "peak force, median (99th percentile)": lambda x: (
+            f"{x['force_median_n']:.2f} N ({x['force_99_n']:.2f} N)"
+        ),
+        "hanging length": lambda x: f"{x['hang_m']:.3f} m",
+    }
+    lines = read_results("pulls", ("edge_m", "pulls"), folder)
+    return table(lines, columns, lambda x: (-x["edge_m"], x["pulls"]))

@@ -13,6 +13,7 @@ import pytest
 
 from agym_jax.data.npz import write_npz
 from agym_jax.errors import DamagedFileError
+from benchmarks import compile as starts
 from benchmarks import kills, nan, resume, speed_tables, throughput, training_speed, viewer_speed
 from benchmarks.child import ChildError, run_child
 from train.configs import parse_arguments

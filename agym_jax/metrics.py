@@ -14,7 +14,7 @@ from agym_jax.spec import Measured, Task
 TASK_PREFIX = "task/"
 METRICS = (
     "force/on_human", "force/tool_on_human", "force/robot_on_human", "force/tool",
-    "force/peak_on_human", "force/of_comfort", "force/of_limit", "success", "nan", "overflow",
+    "force/peak_on_human", "force/of_comfort", "force/of_limit", "nan", "overflow",
 )  # fmt: skip
 """Names. Forces are means over a control step [N]; ``peak_on_human`` is the largest on one region of the body in a
 physics step [N], ``of_comfort`` and ``of_limit`` are the shares of limits of ``human.regions`` that are reached, above 1
@@ -29,7 +29,7 @@ def metrics_of(
     bad: Array,
     overflow: Array,
 ) -> dict[str, Array]:
-    """Terms of the reward as ``reward/<name>``, then ``METRICS``, then the task's measures as ``task/<name>``.
+    """Terms of the reward as ``reward/<name>``, then ``METRICS``, then ``progress``.
 
     Args:
         rewards: terms of this step.
@@ -48,13 +48,12 @@ def metrics_of(
         clean(jnp.max(sensed.regions.peak)),
         clean(sensed.regions.of_comfort(comfort)),
         clean(sensed.regions.of_limit()),
-        clean(progress["success"]),
         bad.astype(jnp.float32),
         overflow,
     )
     terms = {f"reward/{name}": value for name, value in rewards.items()}
-    measures = {name: clean(value) for name, value in progress.items() if name != "success"}
-    return terms | dict(zip(METRICS, values, strict=True)) | measures
+    known = {name: clean(value) for name, value in progress.items()}
+    return terms | dict(zip(METRICS, values, strict=True)) | known
 
 
 def progress_of(task: Task, state: Any) -> dict[str, Array]:
@@ -71,5 +70,6 @@ def metric_names(task: Task) -> tuple[str, ...]:
     return (
         *(f"reward/{term}" for term in task.reward_terms),
         *METRICS,
+        "success",
         *(f"{TASK_PREFIX}{measure.name}" for measure in measures),
     )

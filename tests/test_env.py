@@ -142,7 +142,7 @@ def test_reset_and_step_trace_no_more_than_they_need(programs: Traced):
 def test_names_of_metrics_are_data(programs: Traced):
     env = programs.batch.env
     measures = [f"task/{x.name}" for x in env.task.measures]
-    names = (*(f"reward/{x}" for x in env.task.reward_terms), *METRICS, *measures)
+    names = (*(f"reward/{x}" for x in env.task.reward_terms), *METRICS, "success", *measures)
     assert env.metric_names == names
     assert set(programs.reset.out_info.metrics) == set(programs.step.out_info.metrics) == set(names)
 

@@ -139,35 +139,31 @@ class Player:
             if over:
                 return
 
-    def episodes(self, seed: int, ending: Ending) -> Iterator[tuple[int, Iterator[Frame]]]:
-        """Seeds of episodes with an ending, and their frames.
+    def episodes(self, seed: int, ending: Ending = "any") -> Iterator[tuple[int, Iterator[Frame]]]:
+        """Seeds of episodes with an ending, and their frames; of an ending, those among ``LOOK_THROUGH`` seeds.
 
         Args:
             seed: the first that is looked at.
             ending: of the episodes.
-
-        Raises:
-            ConfigError: there is no further one within ``LOOK_THROUGH`` seeds.
         """
         if ending == "any":
-            while True:
-                yield seed, self.episode(seed)
-                seed += 1
+            for number in itertools.count(seed):
+                yield number, self.episode(number)
         for number in range(seed, seed + LOOK_THROUGH):
+            if sys.stderr.isatty():
+                print(f"\rlooking at seed {number} ", end="", file=sys.stderr, flush=True)
             frames = list(self.episode(number))
             if ends_so(frames, ending):
+                if sys.stderr.isatty():
+                    print("\r" + " " * 30 + "\r", end="", file=sys.stderr, flush=True)
                 yield number, iter(frames)
-        raise ConfigError(
-            f"No further episode of {self.env.name} among the seeds {seed} to {seed + LOOK_THROUGH - 1} {'is rough' if ending == 'rough' else f'ends in {ending}'}. "
-            "Try another --seed, or --ending any."
-        )
 
 
 def ends_so(frames: Sequence[Frame], ending: Ending) -> bool:
-    """Whether an episode has an ending."""
+    """Whether an episode has an ending, other than any."""
     if ending == "rough":
         return any(frame.of_comfort > 1 for frame in frames)
-    return ending == "any" or frames[-1].success == (ending == "success")
+    return frames[-1].success == (ending == "success")
 
 
 def caption(frame: Frame) -> str:
@@ -233,7 +229,11 @@ def _check_outputs(config: EnjoyConfig) -> None:
 
 
 def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
-    """Play, print and record what the flags ask for; returns the last frame of each episode."""
+    """Play, print and record what the flags ask for; returns the last frame of each episode.
+
+    Raises:
+        ConfigError: no episode ends as it is asked for.
+    """
     player = Player(env, policy, deterministic=not config.non_det)
     pictures, labels, lasts = [], [], []
     found = player.episodes(config.seed, config.ending)
@@ -253,6 +253,15 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
                 frames = frames[:: math.ceil(len(frames) / SHEET_PICTURES)]
             pictures += film(env, frames, config)
             labels += [caption(frame) for frame in frames]
+    if len(lasts) < config.episodes:
+        words = "rough" if config.ending == "rough" else f"a {config.ending}"
+        seeds = f"the seeds {config.seed} to {config.seed + LOOK_THROUGH - 1}"
+        few = (
+            f"{len(lasts)} of {config.episodes} episodes found: among {seeds}, no other is {words}."
+        )
+        if not lasts:
+            raise ConfigError(f"{few} Try another --seed, or --ending any.")
+        print(few)
     if config.clip or config.sheet:
         from agym_jax.rendering.clips import contact_sheet, write_clip
 

@@ -36,6 +36,15 @@ class Human:
     at_joints: jax.Array | float = 0.0  # 1 if masses are AG's, at the joints        ()
 
     @property
+    def impaired(self) -> dict[str, Any]:
+        """Which of ``IMPAIRMENTS`` they have: name -> whether (). A tremor needs a joint that moves."""
+        return {
+            "limits": self.limit_scale < 1,
+            "weakness": self.strength < 1,
+            "tremor": (abs(self.tremor) > 0).any(-1),
+        }
+
+    @property
     def dims(self) -> anthropometry.Dims:
         """Sizes and mass of the body."""
         return anthropometry.dims(self.sex, self.stature, self.girth)

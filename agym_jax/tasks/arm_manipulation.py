@@ -32,15 +32,7 @@ from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed, ToolSensed
-from agym_jax.spec import (
-    Control,
-    HumanSpec,
-    Measure,
-    Pose,
-    Preferences,
-    SeatSpec,
-    ToolSpec,
-)
+from agym_jax.spec import Control, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 
 _RAD = math.pi / 180.0
@@ -156,6 +148,9 @@ class ArmManipulation:
     reward_terms: tuple[str, ...] = (
         "distance_human", "distance_tools", "action", *PREFERENCE_TERMS, "preference_high_pressures",
     )  # fmt: skip
+    measures: tuple[Measure, ...] = (
+        Measure("distance", "m", "from elbow to waist and from hand to hips, both together"),
+    )
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 
@@ -236,13 +231,6 @@ class ArmManipulation:
     def success(self, state: ArmState) -> Array:
         """Whether the arm has been near enough at some time ()."""
         return state.best >= self.config.close
-
-    @property
-    def measures(self) -> tuple[Measure, ...]:
-        """See ``measure``."""
-        return (
-            Measure("distance", "m", "from elbow to waist and from hand to hips, both together"),
-        )
 
     def measure(self, state: ArmState) -> dict[str, Array]:
         """How far the arm is from where it belongs, now."""

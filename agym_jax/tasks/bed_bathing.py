@@ -26,15 +26,7 @@ from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import (
-    Control,
-    HumanSpec,
-    Measure,
-    Pose,
-    Preferences,
-    SeatSpec,
-    ToolSpec,
-)
+from agym_jax.spec import Control, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 
 _H = math.sqrt(0.5)
@@ -162,6 +154,9 @@ class BedBathing:
     )  # fmt: skip
     episode_length: int = 200
     reward_terms: tuple[str, ...] = ("distance", "action", "wiping", *PREFERENCE_TERMS)
+    measures: tuple[Measure, ...] = (
+        Measure("wiped", "1", "share of the skin of upper arm and forearm that is wiped"),
+    )
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 
@@ -252,11 +247,6 @@ class BedBathing:
         """Whether 30 % of the points have been wiped ()."""
         total = jnp.sum(state.exists)
         return total - jnp.sum(state.dirty) >= self.config.wiped * total
-
-    @property
-    def measures(self) -> tuple[Measure, ...]:
-        """See ``measure``."""
-        return (Measure("wiped", "1", "share of the skin of upper arm and forearm that is wiped"),)
 
     def measure(self, state: BathState) -> dict[str, Array]:
         """Share of the points that have been wiped; they lie at even distances on the skin."""

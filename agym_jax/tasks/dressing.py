@@ -173,6 +173,9 @@ class Dressing:
     )  # fmt: skip
     episode_length: int = 200
     reward_terms: tuple[str, ...] = ("dressing", "action", *DRESSING_TERMS)
+    measures: tuple[Measure, ...] = (
+        Measure("covered", "1", "share of the arm's length that is in the sleeve"),
+    )
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 
@@ -323,11 +326,6 @@ class Dressing:
     def success(self, state: DressState) -> Array:
         """Whether the sleeve has been far enough up the arm ()."""
         return state.best >= self.config.dressed
-
-    @property
-    def measures(self) -> tuple[Measure, ...]:
-        """See ``measure``."""
-        return (Measure("covered", "1", "share of the arm's length that is in the sleeve"),)
 
     def measure(self, state: DressState) -> dict[str, Array]:
         """How far the cuff is up the arm now: 0 at the tip of the hand, 1 at the shoulder."""

@@ -35,16 +35,7 @@ from agym_jax.matter.particles.solver import WATER, Contact, Particles, Particle
 from agym_jax.matter.shapes import no_boxes
 from agym_jax.preferences import MEAL_TERMS, PREFERENCE_TERMS, meal_terms, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import (
-    Control,
-    Goal,
-    HumanSpec,
-    Measure,
-    Pose,
-    Preferences,
-    SeatSpec,
-    ToolSpec,
-)
+from agym_jax.spec import Control, Goal, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared import meals
 from agym_jax.tasks.shared.meals import Outcome
 
@@ -137,6 +128,10 @@ class Drinking:
         "water",
         *PREFERENCE_TERMS,
         *MEAL_TERMS,
+    )
+    measures: tuple[Measure, ...] = (
+        Measure("drunk", "1", "share of the water that is drunk"),
+        Measure("spilled", "1", "share of the water that is spilled, on the person too"),
     )
     robot_obs: type = meals.RobotObs
     human_obs: type = meals.HumanObs
@@ -236,14 +231,6 @@ class Drinking:
     def success(self, state: DrinkState) -> Array:
         """Whether three quarters of the water have been drunk ()."""
         return state.drunk >= self.config.share * self.water.count
-
-    @property
-    def measures(self) -> tuple[Measure, ...]:
-        """See ``measure``."""
-        return (
-            Measure("drunk", "1", "share of the water that is drunk"),
-            Measure("spilled", "1", "share of the water that is spilled, on the person too"),
-        )
 
     def measure(self, state: DrinkState) -> dict[str, Array]:
         """Shares of the drops that have been drunk and spilled."""

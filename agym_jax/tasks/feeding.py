@@ -28,16 +28,7 @@ from agym_jax.matter.particles.solver import FOOD, Contact, Particles, ParticleS
 from agym_jax.matter.shapes import Boxes
 from agym_jax.preferences import MEAL_TERMS, PREFERENCE_TERMS, meal_terms, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import (
-    Control,
-    Goal,
-    HumanSpec,
-    Measure,
-    Pose,
-    Preferences,
-    SeatSpec,
-    ToolSpec,
-)
+from agym_jax.spec import Control, Goal, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared import meals
 from agym_jax.tasks.shared.meals import Outcome
 
@@ -126,6 +117,10 @@ class Feeding:
     human: HumanSpec = meals.diner(rate=0.0005 / 0.002, max_torque=5.0)
     episode_length: int = 200
     reward_terms: tuple[str, ...] = ("distance", "action", "food", *PREFERENCE_TERMS, *MEAL_TERMS)
+    measures: tuple[Measure, ...] = (
+        Measure("eaten", "1", "share of the food that is eaten"),
+        Measure("spilled", "1", "share of the food that is spilled"),
+    )
     robot_obs: type = meals.RobotObs
     human_obs: type = meals.HumanObs
 
@@ -211,14 +206,6 @@ class Feeding:
     def success(self, state: FeedState) -> Array:
         """Whether three quarters of the food have been eaten ()."""
         return state.eaten >= self.config.share * self.food.count
-
-    @property
-    def measures(self) -> tuple[Measure, ...]:
-        """See ``measure``."""
-        return (
-            Measure("eaten", "1", "share of the food that is eaten"),
-            Measure("spilled", "1", "share of the food that is spilled"),
-        )
 
     def measure(self, state: FeedState) -> dict[str, Array]:
         """Shares of the pieces that have been eaten and spilled."""

@@ -108,6 +108,7 @@ class Reaching:
     )  # fmt: skip
     episode_length: int = 200
     reward_terms: tuple[str, ...] = ("distance", *PREFERENCE_TERMS)
+    measures: tuple[Measure, ...] = (Measure("distance", "m", "from hand to mouth"),)
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 
@@ -163,11 +164,6 @@ class Reaching:
     def success(self, state: ReachState) -> Array:
         """Whether the hand is at the mouth now ()."""
         return state.distance <= self.config.reached
-
-    @property
-    def measures(self) -> tuple[Measure, ...]:
-        """See ``measure``."""
-        return (Measure("distance", "m", "from hand to mouth"),)
 
     def measure(self, state: ReachState) -> dict[str, Array]:
         """How far the hand is from the mouth."""

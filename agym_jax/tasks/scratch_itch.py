@@ -19,15 +19,7 @@ from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import (
-    Control,
-    HumanSpec,
-    Measure,
-    Pose,
-    Preferences,
-    SeatSpec,
-    ToolSpec,
-)
+from agym_jax.spec import Control, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 
 _H = math.sqrt(0.5)
@@ -150,6 +142,7 @@ class ScratchItch:
         "scratch",
         *PREFERENCE_TERMS,
     )
+    measures: tuple[Measure, ...] = (Measure("scratches", "1", "scratches of the itch"),)
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 
@@ -247,11 +240,6 @@ class ScratchItch:
     def success(self, state: ItchState) -> Array:
         """Whether 25 scratches have counted ()."""
         return state.scratches >= self.config.scratches
-
-    @property
-    def measures(self) -> tuple[Measure, ...]:
-        """See ``measure``."""
-        return (Measure("scratches", "1", "scratches of the itch"),)
 
     def measure(self, state: ItchState) -> dict[str, Array]:
         """Scratches that have counted."""

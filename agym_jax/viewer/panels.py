@@ -318,6 +318,4 @@ class Person:
         ):  # fmt: skip
             handle.value = float(np.clip(value, handle.min, handle.max))
         self._tremor.value = int(np.clip(round(tremor), 0, self._tremor.max))
-        kinds = (human.strength < 1.0, human.limit_scale < 1.0, tremor > 0.0)
-        names = ("weakness", "limits", "tremor")
-        self._kind.value = next((n for n, has in zip(names, kinds, strict=True) if has), "none")
+        self._kind.value = next((name for name, has in human.impaired.items() if has), "none")

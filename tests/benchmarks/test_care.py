@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from agym_jax.human.population import Human
 from benchmarks import care_tables, failures, shipped
 from train.evaluation.people import describe
 
@@ -65,8 +66,9 @@ def test_a_page_without_results_says_so(tmp_path):
     ],
 )
 def test_a_person_in_words(changes, words):
-    usual = {"sex": 0.0, "strength": 1.0, "limit_scale": 1.0, "tremor": np.zeros(2)}
-    assert describe(SimpleNamespace(**usual | changes)) == words
+    usual = dict.fromkeys(("stature", "girth", "strength", "limit_scale"), 1.0)
+    usual |= {"sex": 0.0, "tremor": np.zeros(2)}
+    assert describe(Human(**usual | changes)) == words
 
 
 def test_strips_of_failures_are_filled_into_the_page(tmp_path, monkeypatch):

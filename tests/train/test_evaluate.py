@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import json
 
 import jax
@@ -213,13 +212,26 @@ def test_enjoy_shows_only_episodes_that_end_so(ending, monkeypatch):
 
     monkeypatch.setattr(enjoy, "LOOK_THROUGH", 4)
     so, otherwise = (3.0, 30.0) if ending == "failure" else (30.0, 3.0)
-    found = list(itertools.islice(finger(so).episodes(1001, ending), 2))
-    assert [seed for seed, _ in found] == [1001, 1002]
+    found = list(finger(so).episodes(1001, ending))
+    assert [seed for seed, _ in found] == [1001, 1002, 1003, 1004]
     assert all(enjoy.ends_so(list(frames), ending) for _, frames in found)
-    with pytest.raises(
-        ConfigError, match="No further episode of FakePress-v0 among the seeds 5 to 8"
-    ):
-        next(finger(otherwise).episodes(5, ending))
+    assert list(finger(otherwise).episodes(1001, ending)) == []
+
+
+def test_enjoy_keeps_what_it_has_found(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(enjoy, "LOOK_THROUGH", 2)
+    film = tmp_path / "a.gif"
+    words = f"--env-name FakeReach-v0 --policy random --episodes 3 --clip {film} --ending failure"
+    words += " --width 64 --height 48 --backend raycast"
+    assert enjoy.main(words.split(), lambda *_: FakeEnv(episode_length=6)) == 0
+    assert (
+        "2 of 3 episodes found: among the seeds 1001 to 1002, no other is a failure"
+        in capsys.readouterr().out
+    )
+    assert film.is_file()
+    words = words.replace("failure", "success")
+    assert enjoy.main(words.split(), lambda *_: FakeEnv(episode_length=6)) == 2
+    assert "0 of 3 episodes found" in (said := capsys.readouterr().err) and "--ending any" in said
 
 
 def test_enjoy_refuses_a_wrong_suffix_at_once(capsys):

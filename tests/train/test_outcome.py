@@ -14,6 +14,7 @@ from fake_env import FakeEnv
 from fake_press_env import FakePressEnv
 
 import agym_jax
+from agym_jax.human.population import Human
 from agym_jax.spec import Measure
 from train.evaluate import evaluate
 from train.evaluation.people import People, by_group, people_in, worst
@@ -72,17 +73,14 @@ def people(**changes) -> People:
         "sex": np.tile([0.0, 1.0], 50),
         "stature": np.ones(100),
         "girth": np.ones(100),
-        "strength": np.ones(100),
-        "limit_scale": np.ones(100),
-        "tremor": np.zeros(100),
+        **dict.fromkeys(("limits", "weakness", "tremor"), np.zeros(100, bool)),
     }
     return People(**usual | changes)
 
 
 def test_groups_are_those_of_sex_impairment_and_size():
-    tremor, strength = np.zeros(100), np.ones(100)
-    tremor[:10], strength[10:30] = 0.1, 0.5
-    groups = people(tremor=tremor, strength=strength).groups()
+    number = np.arange(100)
+    groups = people(tremor=number < 10, weakness=(number >= 10) & (number < 30)).groups()
     assert {name: int(mask.sum()) for name, mask in groups.items()} == {
         "men": 50,
         "women": 50,
@@ -99,23 +97,20 @@ def test_groups_are_those_of_sex_impairment_and_size():
 
 
 def test_the_worst_group_is_none_of_a_few_people():
-    strength, successes = np.ones(100), np.ones(100, bool)
-    strength[:10] = 0.5  # ten people: too few, though nobody of them is helped
-    successes[:10] = False
+    weakness, successes = np.arange(100) < 10, np.ones(100, bool)
+    successes[:10] = False  # ten people: too few, though nobody of them is helped
     successes[51::2] = False
-    found = by_group(people(strength=strength), successes, successes)
+    found = by_group(people(weakness=weakness), successes, successes)
     assert {x.name: x.success for x in found}["with weakness"] == 0.0
     assert worst(found).name == "women" and worst(found).success == pytest.approx(0.4)
     assert worst([]) is None
 
 
 def test_who_has_no_joint_that_moves_does_not_tremble():
-    human = SimpleNamespace(
-        sex=jnp.zeros(3), stature=jnp.ones(3), girth=jnp.ones(3), strength=jnp.ones(3),
-        limit_scale=jnp.ones(3), tremor=jnp.zeros((3, 0)),
-    )  # fmt: skip
+    one = jnp.ones(3)
+    human = Human(jnp.zeros(3), one, one, one, one, tremor=jnp.zeros((3, 0)))
     found = people_in(SimpleNamespace(episode=SimpleNamespace(human=human)))
-    assert found["person/tremor"].tolist() == [0, 0, 0]
+    assert found["person/tremor"].tolist() == [False] * 3
 
 
 def test_environments_without_people_have_no_groups():

@@ -8,10 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from agym_jax.human.population import Human
+
 PREFIX = "person/"
 FIFTHS = 5
 LEAST = 20
 """Episodes from which on a group can be the worst: of fewer, chance decides."""
+IMPAIRED = {"limits": "with limited joints", "weakness": "with weakness", "tremor": "with tremor"}
+WELL = "without impairment"
 SIZES = {"stature": ("shortest", "tallest"), "girth": ("slimmest", "stoutest")}
 """What people differ in where sizes are continuous, and what its first and last fifth are called."""
 
@@ -24,16 +28,16 @@ class People:
         sex: 0 a man, 1 a woman, or between or beyond them.
         stature: height scale.
         girth: radius scale.
-        strength: of the muscles; 1 is full.
-        limit_scale: of the joint limits; 1 is the full range.
-        tremor: largest amplitude of a joint [rad]; 0 where no joint moves, as of somebody who lies still in bed.
+        limits: whether the joints are limited.
+        weakness: whether the muscles are weak.
+        tremor: whether a joint trembles.
     """
 
     sex: np.ndarray
     stature: np.ndarray
     girth: np.ndarray
-    strength: np.ndarray
-    limit_scale: np.ndarray
+    limits: np.ndarray
+    weakness: np.ndarray
     tremor: np.ndarray
 
     def groups(self) -> dict[str, np.ndarray]:
@@ -41,16 +45,9 @@ class People:
 
         Fifths are of these people, where sizes differ.
         """
-        women, trembles = self.sex >= 0.5, self.tremor > 0
-        weak, limited = self.strength < 1, self.limit_scale < 1
-        found = {
-            "men": ~women,
-            "women": women,
-            "without impairment": ~(trembles | weak | limited),
-            "with limited joints": limited,
-            "with weakness": weak,
-            "with tremor": trembles,
-        }
+        women = self.sex >= 0.5
+        impaired = {words: getattr(self, name) for name, words in IMPAIRED.items()}
+        found = {"men": ~women, "women": women, WELL: ~np.any([*impaired.values()], 0), **impaired}
         for name, (low, high) in SIZES.items():
             values = getattr(self, name)
             if len(np.unique(values)) < FIFTHS:
@@ -66,8 +63,8 @@ def people_in(first: Any) -> dict[str, Any]:
     human = getattr(getattr(first, "episode", None), "human", None)
     if human is None:
         return {}
-    found = {f"{PREFIX}{x.name}": getattr(human, x.name) for x in fields(People)}
-    return found | {f"{PREFIX}tremor": abs(human.tremor).max(-1, initial=0.0)}
+    found = {name: getattr(human, name) for name in ("sex", "stature", "girth")} | human.impaired
+    return {f"{PREFIX}{name}": value for name, value in found.items()}
 
 
 def people_of(sums: Mapping[str, np.ndarray]) -> People | None:
@@ -77,16 +74,11 @@ def people_of(sums: Mapping[str, np.ndarray]) -> People | None:
     return People(**{x.name: sums[f"{PREFIX}{x.name}"] for x in fields(People)})
 
 
-def describe(human: Any) -> str:
+def describe(human: Human) -> str:
     """One person in words: "a woman with tremor"."""
-    found = [
-        ("limited joints", human.limit_scale < 1),
-        ("weakness", human.strength < 1),
-        ("tremor", (abs(human.tremor) > 0).any()),
-    ]
-    impairments = " and ".join(name for name, there in found if there)
+    impairments = [IMPAIRED[name] for name, there in human.impaired.items() if there]
     who = "a woman" if human.sex >= 0.5 else "a man"
-    return f"{who} with {impairments}" if impairments else f"{who} without impairment"
+    return " ".join([who, " and ".join(impairments) or WELL])
 
 
 @dataclass(frozen=True)
@@ -123,7 +115,7 @@ def worst(groups: list[Group]) -> Group | None:
     return min((x for x in groups if x.episodes >= LEAST), key=lambda x: x.success, default=None)
 
 
-def rows(groups: list[Group]) -> list[tuple[str, str]]:
+def group_rows(groups: list[Group]) -> list[tuple[str, str]]:
     """Lines of a table: name, value."""
     return [
         (

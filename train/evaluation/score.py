@@ -20,7 +20,7 @@ from .gentleness import (
     zero_gentleness,
 )
 from .outcome import UNDONE, Outcome, outcome_gains, outcome_of, zero_outcome
-from .people import Group, People, by_group, people_of, rows, worst
+from .people import Group, People, by_group, group_rows, people_of, worst
 
 
 def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
@@ -109,7 +109,7 @@ class EvaluationResult:
             groups: success of each group of people, too.
         """
         low, high = self.success_interval
-        lines = [
+        rows = [
             ("return", f"{self.returns.mean():9.2f} ± {self.returns.std():.2f}"),
             ("force on the person [N]", f"{self.forces.mean():9.2f} ± {self.forces.std():.2f}"),
             ("success", f"{self.success:9.1%}   95 % interval {low:.1%} to {high:.1%}"),
@@ -118,19 +118,19 @@ class EvaluationResult:
         if self.gentleness is not None and gentle is not None:
             low, high = wilson_interval(int(gentle.sum()), self.episodes)
             interval = f"{gentle.mean():9.1%}   95 % interval {low:.1%} to {high:.1%}"
-            lines += [("gentle success", interval), *self.gentleness.rows()]
+            rows += [("gentle success", interval), *self.gentleness.rows()]
         if self.outcome is not None:
-            lines += self.outcome.rows()
+            rows += self.outcome.rows()
         least = worst(self.groups)
         if groups:
-            lines += rows(self.groups)
+            rows += group_rows(self.groups)
         elif least:
-            lines.append(("least helped", f"{rows([least])[0][1]}: {least.name}"))
-        lines.append(("episodes that went NaN", f"{int(self.nan.sum()):9d}"))
+            rows.append(("least helped", f"{group_rows([least])[0][1]}: {least.name}"))
+        rows.append(("episodes that went NaN", f"{int(self.nan.sum()):9d}"))
         if self.overflow:
-            lines.append(("steps with lost contacts", f"{self.overflow:9d}   do not trust these"))
+            rows.append(("steps with lost contacts", f"{self.overflow:9d}   do not trust these"))
         head = f"{self.env}, {self.episodes} episodes"
-        return "\n".join([head] + [f"  {name:<24}{value}" for name, value in lines])
+        return "\n".join([head] + [f"  {name:<24}{value}" for name, value in rows])
 
     def summary(self) -> dict[str, Any]:
         """The result for a JSON line."""

@@ -62,7 +62,7 @@ def test_a_page_without_results_says_so(tmp_path):
     [
         ({}, "a man without impairment"),
         ({"sex": 1.0, "tremor": np.array([0.0, -0.1])}, "a woman with tremor"),
-        ({"strength": 0.5, "limit_scale": 0.7}, "a man with limited joints and weakness"),
+        ({"strength": 0.5, "limit_scale": 0.7}, "a man with limited joints and with weakness"),
     ],
 )
 def test_a_person_in_words(changes, words):

@@ -3,7 +3,7 @@
     python -m benchmarks.torch_overhead --num-envs 4096 --json benchmarks/results/torch_overhead.jsonl
 
 Both loops run in Python, one call a step, with the same actions, in turn; the loop without PyTorch calls the (compiled) ``step`` of
-``agym_jax.wrappers.vectorize`` and reads nothing. On a GPU this needs a PyTorch with CUDA beside JAX's, on one GPU:
+``agym_jax.wrappers.vectorize``, as a user of JAX would, and reads nothing. On a GPU this needs a PyTorch with CUDA beside JAX's, on one GPU:
 XLA_PYTHON_CLIENT_PREALLOCATE=false leaves memory to it.
 """
 
@@ -65,11 +65,13 @@ def measure(config: OverheadConfig) -> dict[str, Any]:
     tensors = torch.tensor(actions, dtype=torch.float32, device=envs.device)
     arrays = [envs.array(tensor) for tensor in tensors]
     envs.reset(config.seed)
+    batch, native = envs.envs, envs.core.impl == "native"
+    step = batch.step if native else jax.jit(batch.step)
 
     def plain() -> None:
         state = envs.state
         for array in arrays:
-            state, _ = envs.step_state(state, array)
+            state = step(state, array)
         jax.block_until_ready(state.obs)
 
     def in_torch() -> None:

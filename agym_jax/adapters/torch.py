@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -21,6 +22,7 @@ import jax
 import jax.numpy as jnp
 
 import agym_jax
+from agym_jax.adapters.carried import Carried
 from agym_jax.adapters.common import begun, keys_of, refuse_fork, spaces_of
 from agym_jax.errors import ActionError, ArgumentError, ImplementationError, MissingExtraError
 from agym_jax.sim.physics import choose_impl
@@ -73,10 +75,12 @@ class TorchVectorEnv:
         self._native = getattr(env, "native_rows", None) is not None
         self.device = torch.device("cpu") if self._native else _device()
         self.action_space, self.observation_space = spaces_of(env)
-        compiled = (lambda f: f) if self._native else jax.jit
-        self._reset, self.step_state = compiled(self.envs.reset), compiled(self._stepped)
+        self._reset = self.envs.reset if self._native else jax.jit(self.envs.reset)
+        self._step = self.envs.step if self._native else jax.jit(self._stepped)
         self._seeds = gymnasium.utils.seeding.np_random(None)[0]
-        self._state: Any = None
+        self._state: Callable[[], Any] = lambda: None
+        self._carried: Any = None  # from the first reset on; not on a CPU
+        self._arrays: list[Any] = []
 
     @property
     def core(self) -> agym_jax.Env:
@@ -90,7 +94,7 @@ class TorchVectorEnv:
         Raises:
             gymnasium.error.ResetNeeded: there is none yet.
         """
-        return begun(self.core, self._state)
+        return begun(self.core, self._state())
 
     @property
     def observations(self) -> torch.Tensor:
@@ -113,7 +117,7 @@ class TorchVectorEnv:
         state = self.state
         clock = self.array(steps.to(self.device, torch.int32))
         episode = dataclasses.replace(state.episode, step=clock)
-        self._state = state.replace(episode=episode)
+        self._go_on_from(state.replace(episode=episode))
 
     def reset(self, seed: int | None = None) -> tuple[torch.Tensor, dict[str, Any]]:
         """Begin an episode in every environment.
@@ -132,7 +136,7 @@ class TorchVectorEnv:
             seeds = [int(x) for x in self._seeds.integers(2**31, size=self.num_envs)]
         if self.device.type == "cuda":  # JAX may take over memory that PyTorch's kernels still read
             torch.cuda.synchronize(self.device)
-        self._state = self._reset(keys_of(seeds))
+        self._go_on_from(self._reset(keys_of(seeds)))
         return self.observations, self._info(self.tensor(self.state.info["final_observation"]))
 
     def step(
@@ -153,9 +157,17 @@ class TorchVectorEnv:
             ActionError: they are no tensor, have another shape or device, or (on a CPU) NaN or infinite entries.
             gymnasium.error.ResetNeeded: nothing has begun.
         """
-        state, action = self.state, self.array(self._checked(actions))
-        self._state, told = self.step_state(state, action)
-        obs, final, reward, terminated, truncated = self._tensors(told)
+        action = self.array(self._checked(actions))
+        if self._native:
+            state = self._step(self.state, action)
+            self._state = lambda: state
+            told = map(self.tensor, _told(state))
+        else:
+            begun(self.core, self._carried)
+            self._arrays, array = self._step(self._arrays, action)
+            self._state = partial(self._carried.state, self._arrays)
+            told = self._unpacked(self.tensor(array))
+        obs, final, reward, terminated, truncated = told
         return obs, reward, terminated, truncated, self._info(final)
 
     def tensor(self, array: Any) -> torch.Tensor:
@@ -170,30 +182,34 @@ class TorchVectorEnv:
     def close(self) -> None:
         """Nothing is left to close; what libraries call in the end."""
 
-    def _stepped(self, state: Any, action: Any) -> tuple[Any, Any]:
-        """The next state and what ``step`` tells of it, compiled together.
+    def _go_on_from(self, state: Any) -> None:
+        self._state = lambda: state
+        if not self._native:
+            self._carried = self._carried or Carried(state)
+            self._arrays = self._carried.arrays(state)
 
-        That is observations and final ones (num_envs, n_obs), rewards, and where episodes ended by a failure and by their
-        length (num_envs,); but on an accelerator all of it is one array, one after the other, because every array that becomes a
-        tensor and every kernel of PyTorch's takes time of the thread that also starts the physics.
+    def _stepped(self, arrays: list[Any], action: Any) -> tuple[list[Any], jax.Array]:
+        """The arrays of the next state, and all that ``step`` tells of it as one: every array that becomes a tensor, and every
+        kernel of PyTorch's, takes time of the thread that also starts the physics.
         """
-        state = self.envs.step(state, action)
-        truncated = state.info["truncation"] > 0
-        ends = (state.done > 0) & ~truncated, truncated
-        told = (state.obs, state.info["final_observation"], state.reward, *ends)
-        return state, told if self._native else packed(told)
+        state = self.envs.step(self._carried.state(arrays), action)
+        return self._carried.arrays(state), packed(_told(state))
 
-    def _tensors(self, told: Any) -> tuple[torch.Tensor, ...]:
-        """What ``step`` tells, from what ``_stepped`` returns."""
-        if self._native:
-            obs, final, reward, terminated, truncated = map(self.tensor, told)
-            return obs, final, reward, terminated, truncated
+    def _unpacked(self, told: torch.Tensor) -> Iterator[torch.Tensor]:
+        """What ``_told`` gives, as views of what ``packed`` makes of it."""
         n, width = self.num_envs, self.core.observation_size
-        obs, final, reward, ends = self.tensor(told).split([n * width, n * width, n, 2 * n])
-        return obs.view(n, width), final.view(n, width), reward, *(ends > 0).split(n)
+        words = [n * width, n * width, n, -(-n // 4), -(-n // 4)]
+        obs, final, reward, *ends = told.split(words)
+        yield obs.view(torch.float32).view(n, width)
+        yield final.view(torch.float32).view(n, width)
+        yield reward.view(torch.float32)
+        for end in ends:
+            yield end.view(torch.bool)[:n]
 
     def _info(self, final: torch.Tensor) -> dict[str, Any]:
-        return {"final_observation": final, "metrics": Tensors(self.tensor, self.state.metrics)}
+        state = self._state
+        metrics = Tensors(self.tensor, lambda: state().metrics)
+        return {"final_observation": final, "metrics": metrics}
 
     def _checked(self, actions: Any) -> torch.Tensor:
         name, shape = self.core.name, (self.num_envs, self.envs.action_size)
@@ -258,25 +274,42 @@ class Tensors(Mapping[str, torch.Tensor]):
 
     Args:
         tensor: makes a tensor.
-        arrays: name -> array.
+        arrays: returns them by name.
     """
 
-    def __init__(self, tensor: Any, arrays: Mapping[str, Any]):
+    def __init__(self, tensor: Any, arrays: Callable[[], Mapping[str, Any]]):
         self._tensor, self._arrays = tensor, arrays
 
     def __getitem__(self, name: str) -> torch.Tensor:
-        return self._tensor(self._arrays[name])
+        return self._tensor(self._arrays()[name])
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._arrays)
+        return iter(self._arrays())
 
     def __len__(self) -> int:
-        return len(self._arrays)
+        return len(self._arrays())
 
 
-def packed(arrays: Iterable[Any]) -> jax.Array:
-    """The numbers of arrays one after the other, float32 (n,)."""
-    return jnp.concatenate([jnp.ravel(x).astype(jnp.float32) for x in arrays])
+def _told(state: Any) -> tuple[Any, ...]:
+    """What ``step`` tells: observations and final ones (n, n_obs), rewards (n,), and where episodes ended by a failure and by
+    their length, bool (n,).
+    """
+    truncated = state.info["truncation"] > 0
+    ends = (state.done > 0) & ~truncated, truncated
+    return state.obs, state.info["final_observation"], state.reward, *ends
+
+
+def packed(arrays: Iterable[jax.Array]) -> jax.Array:
+    """The bits of arrays one after the other, int32 (n,): four entries of a bool array in each, one of another."""
+
+    def words(array: jax.Array) -> jax.Array:
+        array = jnp.ravel(array)
+        if array.dtype != bool:
+            return jax.lax.bitcast_convert_type(array.astype(jnp.float32), jnp.int32)
+        whole = jnp.pad(array.astype(jnp.uint8), (0, -len(array) % 4))
+        return jax.lax.bitcast_convert_type(whole.reshape(-1, 4), jnp.int32)
+
+    return jnp.concatenate([words(x) for x in arrays])
 
 
 def success_of_ended(

@@ -189,8 +189,9 @@ class TorchVectorEnv:
             self._arrays = self._carried.arrays(state)
 
     def _stepped(self, arrays: list[Any], action: Any) -> tuple[list[Any], jax.Array]:
-        """The arrays of the next state, and all that ``step`` tells of it as one: every array that becomes a tensor, and every
-        kernel of PyTorch's, takes time of the thread that also starts the physics.
+        """The arrays of the next state, and all that ``step`` tells of it in one.
+
+        Every array that becomes a tensor, and every kernel of PyTorch's, takes time of the thread that also starts the physics.
         """
         state = self.envs.step(self._carried.state(arrays), action)
         return self._carried.arrays(state), packed(_told(state))
@@ -291,8 +292,10 @@ class Tensors(Mapping[str, torch.Tensor]):
 
 
 def _told(state: Any) -> tuple[Any, ...]:
-    """What ``step`` tells: observations and final ones (n, n_obs), rewards (n,), and where episodes ended by a failure and by
-    their length, bool (n,).
+    """What ``step`` tells.
+
+    That is observations and final ones (n, n_obs), rewards (n,), and where episodes ended by a failure and by their length, bool
+    (n,).
     """
     truncated = state.info["truncation"] > 0
     ends = (state.done > 0) & ~truncated, truncated

@@ -9,10 +9,9 @@ XLA_PYTHON_CLIENT_PREALLOCATE=false leaves memory to it.
 
 from __future__ import annotations
 
-import statistics
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,23 +67,29 @@ def measure(config: OverheadConfig) -> dict[str, Any]:
     batch, native = envs.envs, envs.core.impl == "native"
     step = batch.step if native else jax.jit(batch.step)
 
-    def plain() -> None:
+    def plain() -> Iterator[None]:
         state = envs.state
         for array in arrays:
             state = step(state, array)
+        yield
         jax.block_until_ready(state.obs)
 
-    def in_torch() -> None:
+    def in_torch() -> Iterator[None]:
         for tensor in tensors:
             envs.step(tensor)
+        yield
         if envs.device.type == "cuda":
             torch.cuda.synchronize(envs.device)
 
-    for loop in (plain, in_torch) * WARM_UPS:
-        loop()
-    pairs = [(_seconds(plain), _seconds(in_torch)) for _ in range(config.repeats)]
-    ratios = sorted(with_torch / without for without, with_torch in pairs)
-    speeds = [config.steps * config.num_envs / statistics.median(x) for x in zip(*pairs, strict=True)]  # fmt: skip
+    loops = plain, in_torch
+    for loop in loops * WARM_UPS:
+        list(loop())
+    # repeats, loops, (until the calls have returned, until they are done) [s]
+    seconds = np.array([[_seconds(loop()) for loop in loops] for _ in range(config.repeats)])
+    whole = seconds[..., 1]
+    ratios = whole[:, 1] / whole[:, 0]
+    speeds = config.steps * config.num_envs / np.median(whole, 0)
+    calls = 1e3 * np.median(seconds[..., 0], 0) / config.steps
     return {
         "env": config.env_name,
         "impl": envs.core.impl,
@@ -93,17 +98,24 @@ def measure(config: OverheadConfig) -> dict[str, Any]:
         "repeats": config.repeats,
         "steps_per_s": round(speeds[0]),
         "steps_per_s_torch": round(speeds[1]),
-        "overhead_percent": round(100 * (statistics.median(ratios) - 1), 2),
-        "overhead_percent_min": round(100 * (ratios[0] - 1), 2),
-        "overhead_percent_max": round(100 * (ratios[-1] - 1), 2),
+        "call_ms": round(
+            float(calls[0]), 3
+        ),  # of the calling thread, which may return before the step is done
+        "call_ms_torch": round(float(calls[1]), 3),
+        "overhead_percent": round(100 * float(np.median(ratios) - 1), 2),
+        "overhead_percent_min": round(100 * float(ratios.min() - 1), 2),
+        "overhead_percent_max": round(100 * float(ratios.max() - 1), 2),
         "torch": str(torch.__version__),
     }
 
 
-def _seconds(run: Callable[[], None]) -> float:
+def _seconds(loop: Iterator[None]) -> tuple[float, float]:
+    """Until a loop has made its calls, and until what they started is done [s]."""
     began = time.perf_counter()
-    run()
-    return time.perf_counter() - began
+    next(loop)
+    called = time.perf_counter() - began
+    next(loop, None)
+    return called, time.perf_counter() - began
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

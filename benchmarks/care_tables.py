@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agym_jax.registry import parse
+from benchmarks.limits import in_words as in_words_of_limit
+from benchmarks.limits import lines_of
 from benchmarks.markdown import RESULTS, Line, read_results, table
 from train.evaluation.outcome import in_words
 from train.evaluation.people import LEAST
+from train.evaluation.statistics import iqm
 
 ORDER = itemgetter("env")
 
@@ -53,6 +59,28 @@ def care(folder: Path = RESULTS) -> str:
         "time to success, median": lambda x: f"{x['time_to_success']:.1f} s",
     }
     return table(_lines(folder), columns, ORDER, "Mode;")
+
+
+def limits(folder: Path = RESULTS) -> str:
+    """Success and gentleness of seeds that learned under several cost limits."""
+
+    def shares(values: Sequence[float]) -> str:
+        return f"{iqm(np.asarray(values)):.1%} ({min(values):.1%} to {max(values):.1%})"
+
+    columns = {
+        "environment": ORDER,
+        "limit": lambda x: in_words_of_limit(x["cost_limit"]),
+        "seeds x steps": lambda x: f"{len(x['seeds'])} x {x['num_env_steps'] / 1e6:g} M",
+        "success: IQM (range)": lambda x: shares(x["success_of_seeds"]),
+        "gentle success: IQM (range)": lambda x: shares(x["gentle_success_of_seeds"]),
+        "median peak force, median of seeds": lambda x: (
+            f"{np.median(x['peak_median_of_seeds']):.1f} N"
+        ),
+    }
+    lines = lines_of(folder)
+    people = ", ".join(str(x) for x in sorted({x["episodes"] for x in lines}))
+    note = f"{people} episodes of each seed, mode;"
+    return table(lines, columns, lambda x: (x["env"], -x["cost_limit"]), note)
 
 
 def _how_far(line: Line) -> str:

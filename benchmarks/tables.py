@@ -43,6 +43,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "selections": policy_tables.selections,
     "sweeps": policy_tables.sweeps,
     "gentle": policy_tables.gentle,
+    "limits": care_tables.limits,
     "candidates": policy_tables.candidates,
     "together": policy_tables.together,
     "seeds": policy_tables.seeds,

@@ -5,7 +5,9 @@ from __future__ import annotations
 from operator import itemgetter
 from pathlib import Path
 
-from benchmarks.markdown import RESULTS, read_results, table
+from benchmarks.markdown import RESULTS, Line, read_results, table
+
+ORDER = itemgetter("env")
 
 
 def nan(folder: Path = RESULTS) -> str:
@@ -25,14 +27,29 @@ def nan(folder: Path = RESULTS) -> str:
 def reach(folder: Path = RESULTS) -> str:
     """How many itches a robot can touch at all."""
     columns = {
-        "environment": lambda x: x["env"],
+        "environment": ORDER,
         "reachable itches": lambda x: f"{x['reachable']:.0%}",
         "reachable itches on the quarter of the limb facing the trunk": lambda x: (
             f"{x['reachable_inner']:.0%}"
         ),
     }
-    lines = read_results("reach", ("env",), folder)
-    return table(lines, columns, itemgetter("env"))
+    return table([x for x in _reach(folder) if "reachable_inner" in x], columns, ORDER)
+
+
+def reach_mouth(folder: Path = RESULTS) -> str:
+    """How many mouths a hand can come near at all."""
+    columns = {
+        "environment": ORDER,
+        "mouths": lambda x: f"{x['targets']:,}",
+        "reachable": lambda x: f"{x['reachable']:.0%}",
+        "of men": lambda x: f"{x['reachable_men']:.0%}",
+        "of women": lambda x: f"{x['reachable_women']:.0%}",
+    }
+    return table([x for x in _reach(folder) if "reachable_men" in x], columns, ORDER)
+
+
+def _reach(folder: Path) -> list[Line]:
+    return read_results("reach", ("env",), folder)
 
 
 def pulls(folder: Path = RESULTS) -> str:

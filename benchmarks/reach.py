@@ -1,12 +1,14 @@
-"""How many itches can a robot touch at all, without pushing the person aside?
+"""How many itches, or mouths, can a robot reach at all, without pushing the person aside?
 
-python -m benchmarks.reach --env-name ScratchItchBaxter-v0
+    python -m benchmarks.reach --env-name ScratchItchBaxter-v0
+    python -m benchmarks.reach --env-name ReachingPR2-v0
 
-Draws one of AG's two people in the typical pose, a row of the placement bank and an itch, as a reset
-does, and looks with inverse kinematics from many starts for joint angles that put the tool's tip on
-the skin within ``target_radius`` of the itch while no moving part of robot or tool is deeper than 4 mm
-in person or furniture. A search that stops counts as unreachable: the figure is a lower bound, for an
-arm that stays where it is (in an episode it yields).
+ScratchItch: draws one of AG's two people in the typical pose, a row of the placement bank and an itch, as a reset
+does. Reaching: the people, heads and bases of resets. Looks with inverse kinematics from many starts for joint angles
+that put the tool's tip on the skin within ``target_radius`` of the itch, or the hand within ``reached`` of the mouth, while
+no moving part of robot or tool is deeper than 4 mm in person or furniture. A search that stops counts as
+unreachable: the figure is a lower bound, for a body that stays where it is (in an episode an arm yields, and a contact
+gives way).
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ import tyro
 from rich.progress import track
 
 import agym_jax
+from agym_jax.errors import ArgumentError
 from agym_jax.flags import Count
 from agym_jax.human import pose
 from agym_jax.human.body import RIGHT_ARM_LINKS
@@ -35,7 +38,7 @@ from agym_jax.spec import Pose
 from benchmarks.keep import keep
 
 DEEPEST = 0.004  # [m] that skin may yield
-NEAR = 0.005  # [m] of remaining distance at which inverse kinematics has arrived
+NEAR = 0.003  # [m] of remaining distance at which inverse kinematics has arrived
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,9 @@ class ReachConfig:
     """Flags of ``python -m benchmarks.reach``."""
 
     env_name: str = "ScratchItchJaco-v0"
-    """Environment id of ScratchItch."""
-    num_itches: Count = 400
-    """Itches to draw."""
+    """Environment id of ScratchItch or Reaching."""
+    num_targets: Count = 400
+    """Itches or mouths to draw."""
     starts: Count = 160
     """Starts of the inverse kinematics for each."""
     seed: int = 0
@@ -69,56 +72,64 @@ def around(itch: tuple[float, float], radius: float, reach: float) -> np.ndarray
 
 
 class Searcher:
-    """Reach of one environment's robot."""
+    """Reach of one environment's robot.
+
+    Args:
+        env: the environment.
+        starts: of the inverse kinematics for each point, or set of points.
+        rng: of everything drawn.
+    """
 
     def __init__(self, env: Any, starts: int, rng: np.random.Generator):
         index = env.scene.index
-        self.env, self.starts, self.rng, self.bank = env, starts, rng, env._bank
+        self.env, self.starts, self.rng = env, starts, rng
         tip = index.tools[0].tip
         chain = kinematics.chain_of(env.scene.model, index.robot_joint, tip, index.robot_base)
         self.low, self.high = env.scene.model.jnt_range[index.robot_joint].T
-        tool = env.scene.model.geom_size[index.tools[0].geoms[0], 0]
-        self.lift = float(tool) - 0.001  # of the tip over the skin: the tool's end is round
 
         def solve(angles: jax.Array, point: jax.Array) -> tuple:
             return kinematics.inverse(chain, angles, point, jnp.eye(3), weight=0.0, steps=80)
 
-        self.solve = jax.jit(jax.vmap(solve, (0, None)))
+        self.solve = jax.jit(jax.vmap(solve))
 
-    def can_touch(self) -> tuple[bool, float]:
-        """Draw person, base and itch: whether it can be touched, and the itch's angle [rad]."""
-        env, rng = self.env, self.rng
-        sex, row = float(rng.integers(2)), int(rng.integers(len(self.bank.base_pos)))
-        base_pos, base_quat = (
-            np.asarray(x[row]) for x in (self.bank.base_pos, self.bank.base_quat)
-        )
-        base = Pose(tuple(base_pos.tolist()), tuple(base_quat.tolist()))
+    def scene(self, sex: float, base: Pose, angles: Any) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Person, robot and furniture.
+
+        Args:
+            sex: of the person, 0 or 1.
+            base: of the robot.
+            angles: of the person's moving joints [rad].
+        """
+        env = self.env
         model = compose(env.task, env.robot, sex=sex, base=base, solid=True)
         data = mujoco.MjData(model)
-        joints = env.task.human.joints
-        angles = pose.start_angles(pose.typical(env.task.human, sex), joints, 1.0, np)
-        for name, angle in zip(joints, angles, strict=True):
+        for name, angle in zip(env.task.human.joints, angles, strict=True):
             data.joint(f"human/{name}").qpos = angle
         mujoco.mj_kinematics(model, data)
-        limb = f"human/{RIGHT_ARM_LINKS[rng.integers(2)]}"
-        radius, half = model.geom(limb).size[:2]
-        itch = itch_on((2 * half, radius), rng)
-        local = around(itch, radius, env.task.config.target_radius)
-        outward = local * [1, 1, 0] / radius
-        turn = data.body(limb).xmat.reshape(3, 3)
-        points = data.body(limb).xpos + (local + self.lift * outward) @ turn.T
-        to_base = np.zeros(9)
-        mujoco.mju_quat2Mat(to_base, base_quat)
-        points = (points - base_pos) @ to_base.reshape(3, 3)
-        return any(self._clear(model, data, row, p) for p in points), itch[1]
+        return model, data
 
-    def _clear(self, model: mujoco.MjModel, data: mujoco.MjData, row: int, point: Any) -> bool:
-        n, count = len(self.low), self.starts
-        near = np.asarray(self.bank.arm_angles[row]) + self.rng.normal(0, 0.5, (count // 2, n))
+    def can_reach(
+        self, model: mujoco.MjModel, data: mujoco.MjData, base: Pose, near: Any, points: np.ndarray
+    ) -> bool:
+        """Whether the tip gets to one of some points, each tried from one start.
+
+        Args:
+            model: from ``scene``.
+            data: from ``scene``.
+            base: of the robot.
+            near: angles of the arm around which half of the starts are [rad] (n_arm,).
+            points: world [m] (starts, 3).
+        """
+        to_base = np.zeros(9)
+        mujoco.mju_quat2Mat(to_base, base.quat)
+        points = (points - base.pos) @ to_base.reshape(3, 3)
+        n, count = len(self.low), len(points)
+        starts = np.asarray(near) + self.rng.normal(0, 0.5, (count, n))
         low, high = np.maximum(self.low, -3.1), np.minimum(self.high, 3.1)
-        far = self.rng.uniform(low, high, (count - count // 2, n))
-        starts = np.clip(np.concatenate([near, far]), self.low, self.high).astype(np.float32)
-        found, distance, _ = self.solve(jnp.asarray(starts), jnp.asarray(point, jnp.float32))
+        far = self.rng.random(count) < 0.5
+        starts[far] = self.rng.uniform(low, high, (int(far.sum()), n))
+        starts = np.clip(starts, self.low, self.high).astype(np.float32)
+        found, distance, _ = self.solve(jnp.asarray(starts), jnp.asarray(points, jnp.float32))
         found, distance = np.asarray(found), np.asarray(distance)
         names = [model.geom(i).name for i in range(model.ngeom)]
         moves = model.body_weldid[model.geom_bodyid] != 0
@@ -129,7 +140,7 @@ class Searcher:
         ]
         rest = [i for i, name in enumerate(names) if name.startswith(("human/", "seat/"))]
         joints = [f"robot/{j}" for arm in self.env.scene.arms for j in arm.joints]
-        for i in np.argsort(distance)[:40]:
+        for i in np.argsort(distance):
             if distance[i] > NEAR:
                 return False
             for name, angle in zip(joints, found[i], strict=True):
@@ -143,19 +154,80 @@ class Searcher:
         return False
 
 
+def itch(searcher: Searcher) -> dict[str, Any]:
+    """Draw person, base and itch: whether it can be touched, and whether it is on the side that faces the trunk."""
+    env, rng = searcher.env, searcher.rng
+    sex, row = float(rng.integers(2)), int(rng.integers(len(env._bank.base_pos)))
+    base = _pose(env._bank.base_pos[row], env._bank.base_quat[row])
+    joints = env.task.human.joints
+    angles = pose.start_angles(pose.typical(env.task.human, sex), joints, 1.0, np)
+    model, data = searcher.scene(sex, base, angles)
+    limb = f"human/{RIGHT_ARM_LINKS[rng.integers(2)]}"
+    radius, half = model.geom(limb).size[:2]
+    place = itch_on((2 * half, radius), rng)
+    local = around(place, radius, env.task.config.target_radius)
+    tool = env.scene.model.geom_size[env.scene.index.tools[0].geoms[0], 0]
+    lift = float(tool) - 0.001  # of the tip over the skin: the tool's end is round
+    outward = local * [1, 1, 0] / radius
+    turn = data.body(limb).xmat.reshape(3, 3)
+    points = data.body(limb).xpos + (local + lift * outward) @ turn.T
+    near = env._bank.arm_angles[row]
+    reachable = any(
+        searcher.can_reach(model, data, base, near, np.tile(point, (searcher.starts, 1)))
+        for point in points
+    )
+    return {"reachable": reachable, "inner": np.sin(place[1]) < -np.sqrt(0.5)}
+
+
+def mouth(searcher: Searcher, number: int) -> dict[str, Any]:
+    """Whether the hand gets near the mouth in an episode."""
+    env, rng = searcher.env, searcher.rng
+    state = env.reset(jax.random.PRNGKey(number))
+    placement = state.episode.placement
+    base = _pose(placement.base_pos, placement.base_quat)
+    sex = float(state.episode.human.sex)
+    model, data = searcher.scene(sex, base, np.asarray(state.episode.human_angles))
+    ways = rng.normal(size=(searcher.starts, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    reach = (env.task.config.reached - NEAR) * rng.random((searcher.starts, 1)) ** (1 / 3)
+    points = np.asarray(state.task.mouth_pos_w) + reach * ways
+    reachable = searcher.can_reach(model, data, base, placement.arm_angles, points)
+    return {"reachable": reachable, "man": sex < 0.5}
+
+
+def _pose(pos: Any, quat: Any) -> Pose:
+    return Pose(tuple(np.asarray(pos, float).tolist()), tuple(np.asarray(quat, float).tolist()))
+
+
 def measure(config: ReachConfig) -> dict[str, Any]:
-    """The fields of a result: how many itches can be touched, and how many of those near the trunk."""
-    env = agym_jax.make(config.env_name, impl="jax")
+    """The fields of a result: how many targets can be reached, of each kind.
+
+    Raises:
+        ArgumentError: it is another task.
+        AgymError: there is no such environment.
+    """
+    env = agym_jax.make(config.env_name, impl="native")
+    task = env.task.name
+    if task not in ("ScratchItch", "Reaching"):
+        raise ArgumentError(f"Reach is measured in ScratchItch and Reaching, not in {task}.")
     searcher = Searcher(env, config.starts, np.random.default_rng(config.seed))
-    draws = [searcher.can_touch() for _ in track(range(config.num_itches), "itches")]
-    ok, angle = (np.array(x) for x in zip(*draws, strict=True))
-    inner = np.sin(angle) < -np.sqrt(0.5)  # the quarter that faces the trunk
+    numbers = track(range(config.num_targets), "targets")
+    if task == "Reaching":
+        found = [mouth(searcher, config.seed + i) for i in numbers]
+        kinds = {"men": ("man", True), "women": ("man", False)}
+    else:
+        found = [itch(searcher) for _ in numbers]
+        kinds = {"inner": ("inner", True), "other": ("inner", False)}
+    shares = {
+        f"reachable_{kind}": float(np.mean([x["reachable"] for x in found if x[key] == value]))
+        for kind, (key, value) in kinds.items()
+    }
+    all_of_them = float(np.mean([x["reachable"] for x in found]))
     return {
         "env": config.env_name,
-        "itches": config.num_itches,
-        "reachable": float(ok.mean()),
-        "reachable_inner": float(ok[inner].mean()),
-        "reachable_other": float(ok[~inner].mean()),
+        "targets": config.num_targets,
+        "reachable": all_of_them,
+        **shares,
     }
 
 

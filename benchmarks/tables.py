@@ -56,6 +56,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "viewer-speed": speed_tables.viewer_speed,
     "nan": physics_tables.nan,
     "reach": physics_tables.reach,
+    "reach-mouth": physics_tables.reach_mouth,
     "pulls": physics_tables.pulls,
     "cpu": cpu_tables.summary,
     "cpu-speed": cpu_tables.speed,

@@ -145,7 +145,7 @@ def draw(path: Path, lines: Sequence[Line], about: dict[str, str]) -> None:
         panel.grid(alpha=0.3)
         if name == names[0]:
             panel.set_ylabel("share of episodes [%]")
-            panel.legend(fontsize=8, loc="lower left")
+            figure.legend(fontsize=8, loc="outside lower center", ncols=2)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=120, metadata=about)
     write_file(path, buffer.getvalue())

@@ -75,8 +75,10 @@ class TorchVectorEnv:
         self._native = getattr(env, "native_rows", None) is not None
         self.device = torch.device("cpu") if self._native else _device()
         self.action_space, self.observation_space = spaces_of(env)
-        self._reset = self.envs.reset if self._native else jax.jit(self.envs.reset)
-        self._step = self.envs.step if self._native else jax.jit(self._stepped)
+        self._reset: Callable[..., Any] = self.envs.reset
+        self._step: Callable[..., Any] = self.envs.step
+        if not self._native:
+            self._reset, self._step = jax.jit(self.envs.reset), jax.jit(self._stepped)
         self._seeds = gymnasium.utils.seeding.np_random(None)[0]
         self._state: Callable[[], Any] = lambda: None
         self._carried: Any = None  # from the first reset on; not on a CPU

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from agym_jax.registry import parse
-from benchmarks.limits import in_words as in_words_of_limit
-from benchmarks.limits import lines_of
+from benchmarks.limit_curves import limit_in_words, lines_of
 from benchmarks.markdown import RESULTS, Line, read_results, table
 from train.evaluation.outcome import in_words
 from train.evaluation.people import LEAST
@@ -69,7 +68,7 @@ def limits(folder: Path = RESULTS) -> str:
 
     columns = {
         "environment": ORDER,
-        "limit": lambda x: in_words_of_limit(x["cost_limit"]),
+        "limit": lambda x: limit_in_words(x["cost_limit"]),
         "seeds x steps": lambda x: f"{len(x['seeds'])} x {x['num_env_steps'] / 1e6:g} M",
         "success: IQM (range)": lambda x: shares(x["success_of_seeds"]),
         "gentle success: IQM (range)": lambda x: shares(x["gentle_success_of_seeds"]),

@@ -48,6 +48,23 @@ def reach_mouth(folder: Path = RESULTS) -> str:
     return table([x for x in _reach(folder) if "reachable_men" in x], columns, ORDER)
 
 
+def inside(folder: Path = RESULTS) -> str:
+    """Which parts pass through the person under shipped policies."""
+
+    def worst(line: Line) -> str:
+        part, limb, depth = line["parts"][0]
+        return f"{part.split('/', 1)[1].removesuffix('_collision')} in {limb.removeprefix('human/')}, {1000 * depth:.0f} mm"
+
+    lines = read_results("inside", ("env",), folder)
+    columns = {
+        "environment": ORDER,
+        "episodes": lambda x: x["episodes"],
+        "control steps with a part inside": lambda x: f"{x['share']:.0%}",
+        "deepest": worst,
+    }
+    return table([x for x in lines if x["parts"]], columns, ORDER)
+
+
 def _reach(folder: Path) -> list[Line]:
     return read_results("reach", ("env",), folder)
 

@@ -49,8 +49,8 @@ class ReachConfig:
     """Environment id of ScratchItch or Reaching."""
     num_targets: Count = 400
     """Itches or mouths to draw."""
-    starts: Count = 160
-    """Starts of the inverse kinematics for each."""
+    starts: Count = 400
+    """Starts of the inverse kinematics for each, spread over the points that will do."""
     seed: int = 0
     """Of everything drawn."""
     json: Path | None = None
@@ -76,7 +76,7 @@ class Searcher:
 
     Args:
         env: the environment.
-        starts: of the inverse kinematics for each point, or set of points.
+        starts: of the inverse kinematics for each target.
         rng: of everything drawn.
     """
 
@@ -154,8 +154,8 @@ class Searcher:
         return False
 
 
-def itch(searcher: Searcher) -> dict[str, Any]:
-    """Draw person, base and itch: whether it can be touched, and whether it is on the side that faces the trunk."""
+def itch(searcher: Searcher) -> tuple[bool, str]:
+    """Draw person, base and itch: whether it can be touched, and whether it is on the quarter that faces the trunk."""
     env, rng = searcher.env, searcher.rng
     sex, row = float(rng.integers(2)), int(rng.integers(len(env._bank.base_pos)))
     base = _pose(env._bank.base_pos[row], env._bank.base_quat[row])
@@ -171,18 +171,15 @@ def itch(searcher: Searcher) -> dict[str, Any]:
     outward = local * [1, 1, 0] / radius
     turn = data.body(limb).xmat.reshape(3, 3)
     points = data.body(limb).xpos + (local + lift * outward) @ turn.T
-    near = env._bank.arm_angles[row]
-    reachable = any(
-        searcher.can_reach(model, data, base, near, np.tile(point, (searcher.starts, 1)))
-        for point in points
-    )
-    return {"reachable": reachable, "inner": np.sin(place[1]) < -np.sqrt(0.5)}
+    points = points[np.arange(searcher.starts) % len(points)]
+    reachable = searcher.can_reach(model, data, base, env._bank.arm_angles[row], points)
+    return reachable, "inner" if np.sin(place[1]) < -np.sqrt(0.5) else "other"
 
 
-def mouth(searcher: Searcher, number: int) -> dict[str, Any]:
-    """Whether the hand gets near the mouth in an episode."""
+def mouth(searcher: Searcher) -> tuple[bool, str]:
+    """Draw the start of an episode: whether the hand gets near the mouth, and whose it is."""
     env, rng = searcher.env, searcher.rng
-    state = env.reset(jax.random.PRNGKey(number))
+    state = env.reset(jax.random.PRNGKey(rng.integers(2**31)))
     placement = state.episode.placement
     base = _pose(placement.base_pos, placement.base_quat)
     sex = float(state.episode.human.sex)
@@ -192,7 +189,11 @@ def mouth(searcher: Searcher, number: int) -> dict[str, Any]:
     reach = (env.task.config.reached - NEAR) * rng.random((searcher.starts, 1)) ** (1 / 3)
     points = np.asarray(state.task.mouth_pos_w) + reach * ways
     reachable = searcher.can_reach(model, data, base, placement.arm_angles, points)
-    return {"reachable": reachable, "man": sex < 0.5}
+    return reachable, "men" if sex < 0.5 else "women"
+
+
+TARGETS = {"ScratchItch": itch, "Reaching": mouth}
+"""Task -> what draws a target and says whether it can be reached, and of which kind it is."""
 
 
 def _pose(pos: Any, quat: Any) -> Pose:
@@ -208,26 +209,18 @@ def measure(config: ReachConfig) -> dict[str, Any]:
     """
     env = agym_jax.make(config.env_name, impl="native")
     task = env.task.name
-    if task not in ("ScratchItch", "Reaching"):
-        raise ArgumentError(f"Reach is measured in ScratchItch and Reaching, not in {task}.")
+    if task not in TARGETS:
+        raise ArgumentError(f"Reach is measured in {' and '.join(TARGETS)}, not in {task}.")
     searcher = Searcher(env, config.starts, np.random.default_rng(config.seed))
-    numbers = track(range(config.num_targets), "targets")
-    if task == "Reaching":
-        found = [mouth(searcher, config.seed + i) for i in numbers]
-        kinds = {"men": ("man", True), "women": ("man", False)}
-    else:
-        found = [itch(searcher) for _ in numbers]
-        kinds = {"inner": ("inner", True), "other": ("inner", False)}
-    shares = {
-        f"reachable_{kind}": float(np.mean([x["reachable"] for x in found if x[key] == value]))
-        for kind, (key, value) in kinds.items()
-    }
-    all_of_them = float(np.mean([x["reachable"] for x in found]))
+    found: dict[str, list[bool]] = {}
+    for _ in track(range(config.num_targets), "targets"):
+        reachable, kind = TARGETS[task](searcher)
+        found.setdefault(kind, []).append(reachable)
     return {
         "env": config.env_name,
         "targets": config.num_targets,
-        "reachable": all_of_them,
-        **shares,
+        "reachable": float(np.mean([x for kind in found.values() for x in kind])),
+        **{f"reachable_{kind}": float(np.mean(x)) for kind, x in sorted(found.items())},
     }
 
 

@@ -57,6 +57,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "nan": physics_tables.nan,
     "reach": physics_tables.reach,
     "reach-mouth": physics_tables.reach_mouth,
+    "inside": physics_tables.inside,
     "pulls": physics_tables.pulls,
     "cpu": cpu_tables.summary,
     "cpu-speed": cpu_tables.speed,

@@ -89,6 +89,7 @@ def measure(config: OverheadConfig) -> dict[str, Any]:
     whole = seconds[..., 1]
     ratios = whole[:, 1] / whole[:, 0]
     speeds = config.steps * config.num_envs / np.median(whole, 0)
+    # of the calling thread, which may return before a step is done [ms]
     calls = 1e3 * np.median(seconds[..., 0], 0) / config.steps
     return {
         "env": config.env_name,
@@ -98,9 +99,7 @@ def measure(config: OverheadConfig) -> dict[str, Any]:
         "repeats": config.repeats,
         "steps_per_s": round(speeds[0]),
         "steps_per_s_torch": round(speeds[1]),
-        "call_ms": round(
-            float(calls[0]), 3
-        ),  # of the calling thread, which may return before the step is done
+        "call_ms": round(float(calls[0]), 3),
         "call_ms_torch": round(float(calls[1]), 3),
         "overhead_percent": round(100 * float(np.median(ratios) - 1), 2),
         "overhead_percent_min": round(100 * float(ratios.min() - 1), 2),

@@ -69,12 +69,16 @@ def main(
     runs = [Path(run).resolve() for run in config.runs]
     if config.json:
         check_writable(Path(config.json).parent, "Choose another file with --json.")
-    if runs[0].name != runs[1].name:
-        raise ConfigError(
-            f"{runs[0].name} and {runs[1].name} are different environments; compare two runs of one."
-        )
     env, first = load_seeds(runs[0], make, config.impl)
-    _, second = load_seeds(runs[1], lambda *_, **__: env, config.impl)
+
+    def same(name: str, *_: Any, **__: Any) -> Any:
+        if name != env.name:
+            raise ConfigError(
+                f"{env.name} and {name} are different environments; compare two runs of one."
+            )
+        return env
+
+    _, second = load_seeds(runs[1], same, config.impl)
     evaluator, key = Evaluator(env, config.num_episodes), jax.random.PRNGKey(config.seed)
     scores = [score_seeds(evaluator, policies, key) for policies in (first, second)]
     for run, found in zip(config.runs, scores, strict=True):

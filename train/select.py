@@ -94,7 +94,7 @@ def load_seeds(run: Path, make: Callable[..., Any], impl: str) -> tuple[Any, dic
     """
     folders = seed_folders(run)
     trained = read_policy(next(iter(folders.values())) / FILE_NAMES["robot"])
-    env = make(run.name, impl, **arguments_of(trained.info.get("changes", {})))
+    env = make(trained.info["env"], impl, **arguments_of(trained.info.get("changes", {})))
     return env, {seed: load_policy(folder, env) for seed, folder in folders.items()}
 
 

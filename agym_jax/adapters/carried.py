@@ -10,8 +10,8 @@ import jax
 class Carried:
     """Takes states of one structure apart and puts them together again.
 
-    Every array that enters or leaves a compiled program takes time of the thread that calls it, also where it has no entries. With
-    MJX a quarter of the leaves of a state and more are such arrays: fields of ``mjx.Data`` for what a scene does not have.
+    Every array that enters or leaves a compiled program takes time of the thread that calls it, also where it has no entries, as
+    the fields of ``mjx.Data`` for what a scene does not have.
 
     Args:
         state: any one of them.

@@ -75,14 +75,11 @@ class TorchVectorEnv:
         self._native = getattr(env, "native_rows", None) is not None
         self.device = torch.device("cpu") if self._native else _device()
         self.action_space, self.observation_space = spaces_of(env)
-        self._reset: Callable[..., Any] = self.envs.reset
-        self._step: Callable[..., Any] = self.envs.step
-        if not self._native:
-            self._reset, self._step = jax.jit(self.envs.reset), jax.jit(self._stepped)
+        compiled: Any = (lambda f: f) if self._native else jax.jit
+        self._reset, self._step = compiled(self.envs.reset), compiled(self._stepped)
         self._seeds = gymnasium.utils.seeding.np_random(None)[0]
-        self._state: Callable[[], Any] = lambda: None
-        self._carried: Any = None  # from the first reset on; not on a CPU
-        self._arrays: list[Any] = []
+        self._carried: Any = None  # from the first reset on
+        self._arrays: list[Any] = []  # of the state
 
     @property
     def core(self) -> agym_jax.Env:
@@ -96,7 +93,7 @@ class TorchVectorEnv:
         Raises:
             gymnasium.error.ResetNeeded: there is none yet.
         """
-        return begun(self.core, self._state())
+        return begun(self.core, self._carried).state(self._arrays)
 
     @property
     def observations(self) -> torch.Tensor:
@@ -159,17 +156,11 @@ class TorchVectorEnv:
             ActionError: they are no tensor, have another shape or device, or (on a CPU) NaN or infinite entries.
             gymnasium.error.ResetNeeded: nothing has begun.
         """
+        begun(self.core, self._carried)
         action = self.array(self._checked(actions))
-        if self._native:
-            state = self._step(self.state, action)
-            self._state = lambda: state
-            told = map(self.tensor, _told(state))
-        else:
-            begun(self.core, self._carried)
-            self._arrays, array = self._step(self._arrays, action)
-            self._state = partial(self._carried.state, self._arrays)
-            told = self._unpacked(self.tensor(array))
-        obs, final, reward, terminated, truncated = told
+        self._arrays, told = self._step(self._arrays, action)
+        tensors = map(self.tensor, told) if self._native else self._unpacked(self.tensor(told))
+        obs, final, reward, terminated, truncated = tensors
         return obs, reward, terminated, truncated, self._info(final)
 
     def tensor(self, array: Any) -> torch.Tensor:
@@ -185,21 +176,24 @@ class TorchVectorEnv:
         """Nothing is left to close; what libraries call in the end."""
 
     def _go_on_from(self, state: Any) -> None:
-        self._state = lambda: state
-        if not self._native:
-            self._carried = self._carried or Carried(state)
-            self._arrays = self._carried.arrays(state)
+        self._carried = self._carried or Carried(state)
+        self._arrays = self._carried.arrays(state)
 
-    def _stepped(self, arrays: list[Any], action: Any) -> tuple[list[Any], jax.Array]:
-        """The arrays of the next state, and all that ``step`` tells of it in one.
+    def _stepped(self, arrays: list[Any], action: Any) -> tuple[list[Any], Any]:
+        """The arrays of the next state, and what ``step`` tells of it.
 
-        Every array that becomes a tensor, and every kernel of PyTorch's, takes time of the thread that also starts the physics.
+        That is observations and final ones (num_envs, n_obs), rewards, and where episodes ended by a failure and by their
+        length (num_envs,); but on an accelerator all of it is one array, as every array that becomes a tensor and every
+        kernel of PyTorch's takes time of the thread that also starts the physics.
         """
         state = self.envs.step(self._carried.state(arrays), action)
-        return self._carried.arrays(state), packed(_told(state))
+        truncated = state.info["truncation"] > 0
+        ends = (state.done > 0) & ~truncated, truncated
+        told = (state.obs, state.info["final_observation"], state.reward, *ends)
+        return self._carried.arrays(state), told if self._native else packed(told)
 
     def _unpacked(self, told: torch.Tensor) -> Iterator[torch.Tensor]:
-        """What ``_told`` gives, as views of what ``packed`` makes of it."""
+        """What ``_stepped`` tells, as views of what ``packed`` has made of it."""
         n, width = self.num_envs, self.core.observation_size
         words = [n * width, n * width, n, -(-n // 4), -(-n // 4)]
         obs, final, reward, *ends = told.split(words)
@@ -210,9 +204,8 @@ class TorchVectorEnv:
             yield end.view(torch.bool)[:n]
 
     def _info(self, final: torch.Tensor) -> dict[str, Any]:
-        state = self._state
-        metrics = Tensors(self.tensor, lambda: state().metrics)
-        return {"final_observation": final, "metrics": metrics}
+        state = partial(self._carried.state, self._arrays)
+        return {"final_observation": final, "metrics": Tensors(self.tensor, state)}
 
     def _checked(self, actions: Any) -> torch.Tensor:
         name, shape = self.core.name, (self.num_envs, self.envs.action_size)
@@ -273,35 +266,24 @@ class TrainerEnv(ABC):
 
 
 class Tensors(Mapping[str, torch.Tensor]):
-    """Named arrays that become tensors when they are read.
+    """The metrics of a state, which become tensors when they are read.
 
     Args:
-        tensor: makes a tensor.
-        arrays: returns them by name.
+        tensor: makes a tensor of an array.
+        state: returns the state.
     """
 
-    def __init__(self, tensor: Any, arrays: Callable[[], Mapping[str, Any]]):
-        self._tensor, self._arrays = tensor, arrays
+    def __init__(self, tensor: Callable[[Any], torch.Tensor], state: Callable[[], Any]):
+        self._tensor, self._state = tensor, state
 
     def __getitem__(self, name: str) -> torch.Tensor:
-        return self._tensor(self._arrays()[name])
+        return self._tensor(self._state().metrics[name])
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._arrays())
+        return iter(self._state().metrics)
 
     def __len__(self) -> int:
-        return len(self._arrays())
-
-
-def _told(state: Any) -> tuple[Any, ...]:
-    """What ``step`` tells.
-
-    That is observations and final ones (n, n_obs), rewards (n,), and where episodes ended by a failure and by their length, bool
-    (n,).
-    """
-    truncated = state.info["truncation"] > 0
-    ends = (state.done > 0) & ~truncated, truncated
-    return state.obs, state.info["final_observation"], state.reward, *ends
+        return len(self._state().metrics)
 
 
 def packed(arrays: Iterable[jax.Array]) -> jax.Array:

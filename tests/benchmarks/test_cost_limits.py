@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from benchmarks import care_tables, limits
+from benchmarks import care_tables, limit_curves, limits
 
 
 @pytest.fixture
@@ -39,15 +39,17 @@ def test_the_table_begins_without_a_limit(lines):
 
 def test_the_picture_is_drawn_when_results_change(lines, tmp_path, capsys):
     picture = tmp_path / "limits.png"
-    assert limits.main(["--check"], lines, picture) == 1
-    assert "python -m benchmarks.limits" in capsys.readouterr().err
-    assert limits.main([], lines, picture) == 0 == limits.main(["--check"], lines, picture)
+    assert limit_curves.main(["--check"], lines, picture) == 1
+    assert "python -m benchmarks.limit_curves" in capsys.readouterr().err
+    assert (
+        limit_curves.main([], lines, picture) == 0 == limit_curves.main(["--check"], lines, picture)
+    )
     with Image.open(picture) as drawn:
         assert len(drawn.convert("RGB").getcolors(1 << 20) or []) > 10
     (lines / "limits.jsonl").write_text(
         (lines / "limits.jsonl").read_text().replace('"cost_limit": 0.1', '"cost_limit": 0.2')
     )
-    assert limits.main(["--check"], lines, picture) == 1
+    assert limit_curves.main(["--check"], lines, picture) == 1
 
 
 def test_every_limit_of_a_sweep_is_measured_over_the_same_people(tmp_path, monkeypatch):
@@ -58,7 +60,7 @@ def test_every_limit_of_a_sweep_is_measured_over_the_same_people(tmp_path, monke
     asked: list[Any] = []
 
     def load_seeds(folder, make, impl):
-        return SimpleNamespace(name=make(folder.name, impl).name, impl=impl), {1: folder.name}
+        return make("FeedingJaco-v0", impl), {1: folder.name}
 
     def score_seeds(evaluator, policies, key):
         asked.append((evaluator.env.name, policies[1], key.tolist()))
@@ -69,7 +71,9 @@ def test_every_limit_of_a_sweep_is_measured_over_the_same_people(tmp_path, monke
 
     monkeypatch.setattr(limits, "load_seeds", load_seeds)
     monkeypatch.setattr(limits, "score_seeds", score_seeds)
-    monkeypatch.setattr(limits, "make_env", lambda name, impl: SimpleNamespace(name=name))
+    monkeypatch.setattr(
+        limits, "make_env", lambda name, impl: SimpleNamespace(name=name, impl=impl)
+    )
     monkeypatch.setattr(limits, "Evaluator", lambda env, episodes: SimpleNamespace(env=env))
     kept = tmp_path / "limits.jsonl"
     assert limits.main([str(sweep), "--impl", "native", "--json", str(kept)]) == 0

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 
 import numpy as np
 import pytest
 from fake_env import FakeEnv
 from fake_press_env import FakePressEnv
 
-from agym_jax.policy.policy import read_policy
+from agym_jax.policy.policy import read_policy, save_policy
 from train import compare, select
 from train.configs import PPOConfig
 from train.evaluation.gentleness import Gentleness
@@ -124,6 +125,14 @@ def test_what_has_learned_is_better_than_what_has_not(runs, tmp_path, capsys):
     assert "probability 50%" in capsys.readouterr().out
 
 
-def test_runs_of_different_environments_are_not_compared(runs, tmp_path, capsys):
-    assert compare.main([str(runs[0]), str(tmp_path / "Other-v0")], make) == 2
-    assert "different environments" in capsys.readouterr().err
+def test_what_counts_is_the_environment_not_the_name_of_the_folder(runs, tmp_path, capsys):
+    """As settings of a sweep have folders of their own."""
+    setting = shutil.copytree(runs[0], tmp_path / "lr=0.001")
+    assert compare.main([str(setting), str(runs[0]), "--num-episodes", "8"], make) == 0
+    assert select.main([str(setting), "--num-episodes", "8"], make) == 0
+    for file in setting.glob("seed_*/policy.npz"):
+        policy = read_policy(file)
+        other = dataclasses.replace(policy, info={**policy.info, "env": "Other-v0"})
+        save_policy(file, other)
+    assert compare.main([str(runs[0]), str(setting)], make) == 2
+    assert "Other-v0 are different environments" in capsys.readouterr().err

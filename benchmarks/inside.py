@@ -1,0 +1,148 @@
+"""Which parts of a robot or tool go into the person under a shipped policy without touching them?
+
+    python -m benchmarks.inside --only Reaching --json benchmarks/results/inside.jsonl
+
+Contact is simulated between some primitives only (deviation ``contacts``). Here episodes are played, and every fifth control step
+is looked at in the scene in which everything has its collision shape: where a part is more than 4 mm inside the person and the
+two are no pair of the simulation, it passes through. A cup is hollow and counts as full.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import mujoco
+import numpy as np
+import tyro
+from rich.progress import track
+
+from agym_jax.errors import AgymError
+from agym_jax.flags import Count
+from agym_jax.policy.files import find_policies, load_policies
+from agym_jax.policy.policy import shipped
+from agym_jax.sim.scene import compose
+from agym_jax.sim.validate import COLLISION
+from agym_jax.spec import Pose
+from benchmarks.keep import keep
+from train.envs import make_env
+from train.suites.plan import named
+
+DEEPEST = 0.004
+"""What counts as inside is deeper than this [m]."""
+EVERY = 5
+"""Control steps from one look to the next."""
+
+
+@dataclass(frozen=True)
+class InsideConfig:
+    """Flags of ``python -m benchmarks.inside``."""
+
+    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Parts of ids, such as Jaco or ScratchItchPR2-v0; without them, all whose policies ship."""
+    num_episodes: Count = 5
+    """Episodes of each."""
+    seed: int = 0
+    """Seed of the first episode; the next ones have the numbers after it."""
+    json: Path | None = None
+    """File to which each result is added as a JSON line."""
+
+
+class Solid:
+    """The scene of an episode in which robot, tool and person meet with all that they have.
+
+    Args:
+        env: with ``impl="native"``.
+        episode: of a state.
+    """
+
+    def __init__(self, env: Any, episode: Any):
+        person, place = episode.human, episode.placement
+        (x, y, z), (qw, qx, qy, qz) = place.base_pos.tolist(), place.base_quat.tolist()
+        simulated = env.physics.model
+        self.model = model = compose(
+            env.task, env.robot, env.active, float(person.sex), float(person.stature), float(person.girth),
+            float(person.limit_scale), jax.tree.map(np.asarray, episode.pose), Pose((x, y, z), (qw, qx, qy, qz)),
+            solid=True,
+        )  # fmt: skip
+        self.data = mujoco.MjData(model)
+        self.names = [model.geom(i).name for i in range(model.ngeom)]
+        fixed = model.body_weldid[model.geom_bodyid] == 0
+        for i, name in enumerate(self.names):
+            person = name.startswith("human/")
+            part = name.startswith(("robot/", "tool")) and COLLISION in name and not fixed[i]
+            model.geom_contype[i], model.geom_conaffinity[i] = part, person
+            model.geom_margin[i] = model.geom_gap[i] = 0.0
+        model.body_contype[:] = model.body_conaffinity[:] = 1  # what any geom of a body has
+        pairs = zip(simulated.pair_geom1, simulated.pair_geom2, strict=True)
+        self.pairs = {frozenset(simulated.geom(i).name for i in pair) for pair in pairs}
+
+    def passing(self, qpos: np.ndarray) -> Iterator[tuple[str, str, float]]:
+        """Part, limb and depth [m] of what is inside without being a pair.
+
+        Args:
+            qpos: of the state (nq,).
+        """
+        self.data.qpos[:] = qpos
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_collision(self.model, self.data)
+        contact = self.data.contact
+        for pair, distance in zip(contact.geom, contact.dist, strict=True):
+            names = {self.names[i] for i in pair}
+            limbs = {x for x in names if x.startswith("human/")}
+            if distance < -DEEPEST and len(limbs) == 1 and names not in self.pairs:
+                (part,), (limb,) = names - limbs, limbs
+                if not part.startswith(("seat/", "mount/")):
+                    yield part, limb, float(-distance)
+
+
+def measure(env_name: str, config: InsideConfig) -> dict[str, Any]:
+    """The fields of a result.
+
+    Raises:
+        AgymError: there is no such environment, or no policy that fits it.
+    """
+    env = make_env(env_name, "native")
+    policy = load_policies(find_policies(env_name), env)
+    deepest: dict[tuple[str, str], float] = {}
+    looks = found = 0
+    for number in track(range(config.num_episodes), env_name):
+        state = env.reset(jax.random.PRNGKey(config.seed + number))
+        solid = Solid(env, state.episode)
+        for step in range(1, env.episode_length):  # the last one begins nothing anew
+            state = env.step(state, policy(np.asarray(state.obs)))
+            if step % EVERY:
+                continue
+            inside = list(solid.passing(np.asarray(state.data.qpos)))
+            looks, found = looks + 1, found + bool(inside)
+            for part, limb, depth in inside:
+                deepest[part, limb] = max(depth, deepest.get((part, limb), 0.0))
+    parts = sorted(deepest.items(), key=lambda x: -x[1])
+    return {
+        "env": env_name,
+        "episodes": config.num_episodes,
+        "share": found / looks,
+        "parts": [[part, limb, round(depth, 4)] for (part, limb), depth in parts],
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status, 2 if something could not be measured."""
+    config = tyro.cli(InsideConfig, prog="python -m benchmarks.inside", args=arguments)
+    try:
+        ids = named(config.only, shipped(), "shipped policy")
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    results = [keep("inside", partial(measure, name, config), config.json) for name in ids]
+    return 2 if None in results else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

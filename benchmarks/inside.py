@@ -116,7 +116,7 @@ def measure(env_name: str, config: InsideConfig) -> dict[str, Any]:
         state = env.reset(jax.random.PRNGKey(config.seed + number))
         solid = Solid(env, state.episode)
         for step in range(1, env.episode_length):  # the last one begins nothing anew
-            state = env.step(state, policy(np.asarray(state.obs)))
+            state = env.step(state, policy(state.obs))
             if step % EVERY:
                 continue
             inside = list(solid.passing(np.asarray(state.data.qpos)))

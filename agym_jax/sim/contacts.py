@@ -38,6 +38,7 @@ def contact_pairs(
 
     The hand and the tool's working part may touch every limb of ``task.human.limbs``; the other
     links and the rest of the tool the arm that is helped, the links also the thigh beneath it.
+    Without a tool the fingers and the wrist may touch what the hand may.
     The outline of a tool that has one takes the place of its working part but for that arm.
     Furniture, the robot's trunk and its mount meet the tool's working part and the hand, the mount also the robot's arm
     and a person's arm that hangs over the bed's side.
@@ -69,14 +70,15 @@ def contact_pairs(
         pairs[f"{prefix}mount"] = [(g, x) for g in coarse for x in mount]
     pairs |= {f"robot_{other}": [] for other in ("human", "seat", "robot", "mount")}
     for each in arms:
-        hand, *links = (f"robot/{g}" for g in each.links)
-        pairs["robot_human"] += [(hand, f"human/{x}") for x in limbs]
-        pairs["robot_human"] += [(g, f"human/{x}") for g in links for x in near]
-        outer = [f"robot/{g}" for g in each.links[: each.hand]]
+        links = [f"robot/{g}" for g in each.links]
+        outer = links[: each.hand]
+        works = outer if task.tool is None else links[:1]
+        pairs["robot_human"] += [(g, f"human/{x}") for g in works for x in limbs]
+        pairs["robot_human"] += [(g, f"human/{x}") for g in links[len(works) :] for x in near]
         pairs["robot_seat"] += [(g, x) for g in outer for x in seat]
         pairs["robot_robot"] += [(g, x) for g in outer for x in trunk]
         inner = [f"robot/{g}" for g in robot.near_mount]
-        pairs["robot_mount"] += [(g, x) for g in (hand, *links, *inner) for x in mount]
+        pairs["robot_mount"] += [(g, x) for g in (*links, *inner) for x in mount]
     free = [x for x in arm if body.is_free(body.LINK[x], moving)]
     outer = [x for x in free if task.seat.bears_upper_arm or not x.endswith("upper_arm")]
     pairs["human_seat"] = [(f"human/{x}", g) for x in outer for g in seat]

@@ -36,10 +36,8 @@ def contact_pairs(
 ) -> dict[str, list[tuple[str, str]]]:
     """Geom pairs that may touch, by what their force means; names with prefixes.
 
-    The hand and the tool's working part may touch every limb of ``task.human.limbs``; the other
-    links and the rest of the tool the arm that is helped, the links also the thigh beneath it.
-    Without a tool the fingers and the wrist may touch what the hand may.
-    The outline of a tool that has one takes the place of its working part but for that arm.
+    The robot's links and the tool's working part may touch every limb of ``task.human.limbs``; its trunk and the rest of the
+    tool only the arm that is helped. The outline of a tool that has one takes the place of its working part but for that arm.
     Furniture, the robot's trunk and its mount meet the tool's working part and the hand, the mount also the robot's arm
     and a person's arm that hangs over the bed's side.
 
@@ -51,7 +49,6 @@ def contact_pairs(
     arms = robot.arms_for(task)
     limbs = body.shapes_of(task.human.limbs)
     arm = [x for x in limbs if x.split("_", 1)[-1] in ("upper_arm", "forearm", "hand")]
-    near = [*arm, *(x for x in limbs if x.endswith("thigh"))]
     seat = [f"seat/{g}" for g in task.seat.geoms]
     trunk = [f"robot/{g}" for g in robot.trunk]
     mount = [f"mount/{g}" for g in robot.solid_mounts.get(task.seat.name, ())]
@@ -69,12 +66,11 @@ def contact_pairs(
         pairs[f"{prefix}robot"] = [(g, x) for g in coarse for x in trunk]
         pairs[f"{prefix}mount"] = [(g, x) for g in coarse for x in mount]
     pairs |= {f"robot_{other}": [] for other in ("human", "seat", "robot", "mount")}
+    pairs["robot_human"] = [(g, f"human/{x}") for g in trunk for x in arm]
     for each in arms:
         links = [f"robot/{g}" for g in each.links]
         outer = links[: each.hand]
-        works = outer if task.tool is None else links[:1]
-        pairs["robot_human"] += [(g, f"human/{x}") for g in works for x in limbs]
-        pairs["robot_human"] += [(g, f"human/{x}") for g in links[len(works) :] for x in near]
+        pairs["robot_human"] += [(g, f"human/{x}") for g in links for x in limbs]
         pairs["robot_seat"] += [(g, x) for g in outer for x in seat]
         pairs["robot_robot"] += [(g, x) for g in outer for x in trunk]
         inner = [f"robot/{g}" for g in robot.near_mount]

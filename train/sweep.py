@@ -48,7 +48,7 @@ Setting = dict[str, float]
 class SweepConfig(EnvFlags):
     """Flags of ``agym-jax sweep``."""
 
-    env_name: str = "ReachingJaco-v0"
+    env_name: str = "ReachingSawyer-v0"
     """Environment id."""
     grid: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=A,B,... ...")] = ()
     """Values to try of each hyper-parameter."""

@@ -3,7 +3,7 @@
     from agym_jax.adapters.brax import wrap_for_brax_training
     from brax.training.agents.ppo import train as ppo
 
-    env = agym_jax.make("ReachingJaco-v0")
+    env = agym_jax.make("ReachingSawyer-v0")
     ppo.train(env, ..., episode_length=env.episode_length, wrap_env_fn=wrap_for_brax_training)
 
 Brax's ``AutoResetWrapper`` begins every episode from the state of the first one. Here an episode that ends is

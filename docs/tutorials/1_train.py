@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Train a policy
 #
-# PPO on C MuJoCo: Jaco brings its hand to the person's mouth. Nothing here needs a GPU. The same on the command line is
-# `agym-jax train --env-name ReachingJaco-v0 --num-env-steps 2e5`.
+# PPO on C MuJoCo: Sawyer brings its hand to the person's mouth. Nothing here needs a GPU. The same on the command line is
+# `agym-jax train --env-name ReachingSawyer-v0 --num-env-steps 2e5`.
 
 # %%
 import dataclasses
@@ -19,9 +19,13 @@ from agym_jax.train.configs import config_for
 # take about a minute on two cores, and then the hand finds the mouth.
 
 # %%
-env = agym_jax.make("ReachingJaco-v0", impl="native", episode_length=50)
+env = agym_jax.make("ReachingSawyer-v0", impl="native", episode_length=50)
 config = dataclasses.replace(
-    config_for("ReachingJaco-v0"), num_env_steps=12_800, num_envs=64, save_dir=None, log_interval=2
+    config_for("ReachingSawyer-v0"),
+    num_env_steps=12_800,
+    num_envs=64,
+    save_dir=None,
+    log_interval=2,
 )
 result = ppo.train(env, config)
 for row in result.curve:

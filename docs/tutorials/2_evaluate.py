@@ -1,7 +1,7 @@
 # %% [markdown]
 # # Evaluate a policy
 #
-# How often it succeeds, how gently, and with whom. On the command line: `agym-jax evaluate --env-name ReachingJaco-v0`.
+# How often it succeeds, how gently, and with whom. On the command line: `agym-jax evaluate --env-name ReachingSawyer-v0`.
 
 # %%
 import agym_jax
@@ -10,8 +10,8 @@ from agym_jax.__main__ import trainer
 trainer()
 from agym_jax.train.evaluate import evaluate
 
-env = agym_jax.make("ReachingJaco-v0", impl="native", episode_length=60)
-policy = agym_jax.load_policy("ReachingJaco-v0")  # one that ships
+env = agym_jax.make("ReachingSawyer-v0", impl="native", episode_length=60)
+policy = agym_jax.load_policy("ReachingSawyer-v0")  # one that ships
 result = evaluate(env, policy, num_episodes=32)
 print(result.table())
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 import agym_jax
 
-env = agym_jax.make("ReachingJaco-v0", impl="native", config={"distance": 2.0, "reached": 0.05})
+env = agym_jax.make("ReachingSawyer-v0", impl="native", config={"distance": 2.0, "reached": 0.05})
 print(env.changes)
 
 # %% [markdown]
@@ -44,7 +44,7 @@ class Offering(Reaching):
 from agym_jax.env import AssistiveEnv
 from agym_jax.robots import ROBOTS
 
-env = AssistiveEnv(Offering(), ROBOTS["Jaco"], impl="native")
+env = AssistiveEnv(Offering(), ROBOTS["Sawyer"], impl="native")
 state = env.reset(jax.random.key(0))
 state = env.step(state, jnp.zeros(env.action_size))
 print({name: round(float(x), 3) for name, x in state.metrics.items() if name.startswith("reward/")})

@@ -10,7 +10,7 @@ import numpy as np
 import agym_jax
 
 robot = agym_jax.RobotVariation(strength=(0.6, 1.0), latency=(0, 2), angle_noise=(0.0, 0.01))
-env = agym_jax.make("ReachingJaco-v0", impl="native", robot=robot)
+env = agym_jax.make("ReachingSawyer-v0", impl="native", robot=robot)
 for seed in range(3):
     drawn = env.reset(jax.random.key(seed)).episode.robot
     print(f"strength {float(drawn.strength):.2f}, latency {int(drawn.latency)} control steps")
@@ -21,7 +21,7 @@ for seed in range(3):
 
 # %%
 state = env.reset(jax.random.key(0))
-policy = agym_jax.load_policy("ReachingJaco-v0")
+policy = agym_jax.load_policy("ReachingSawyer-v0")
 for _ in range(20):
     state = env.step(state, policy(state.obs))
 print("distance", round(float(state.task.distance), 3), "m;", env.changes)

@@ -16,7 +16,7 @@ humans = Population(
     stature=(0.9, 1.1),
     impairments=("none", "tremor"),
 )
-env = agym_jax.make("ReachingJaco-v0", impl="native", humans=humans)
+env = agym_jax.make("ReachingSawyer-v0", impl="native", humans=humans)
 people = [env.reset(jax.random.key(seed)).episode.human for seed in range(4)]
 for human in people:
     shakes = np.degrees(np.abs(human.tremor).max())

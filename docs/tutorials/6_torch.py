@@ -20,7 +20,7 @@ except MissingExtraError as error:
 if TorchVectorEnv:
     import torch
 
-    envs = TorchVectorEnv("ReachingJaco-v0", num_envs=16)
+    envs = TorchVectorEnv("ReachingSawyer-v0", num_envs=16)
     obs, info = envs.reset(seed=0)
     for _ in range(5):
         actions = 2 * torch.rand(16, envs.action_space.shape[0], device=envs.device) - 1

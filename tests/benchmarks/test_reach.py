@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import agym_jax
+from agym_jax.human.body import shapes_of
 from agym_jax.spec import Pose
 from benchmarks import inside, physics_tables, reach
 
@@ -44,19 +45,23 @@ def test_only_two_tasks_have_targets(capsys):
     assert "in ScratchItch and Reaching, not in Feeding" in capsys.readouterr().err
 
 
-def test_fingers_in_a_face_pass_through_and_the_palm_does_not(jaco):
+def test_no_link_of_the_arm_passes_through_a_limb_of_the_task(jaco):
     state = jaco.reset(jax.random.PRNGKey(0))
     solid = inside.Solid(jaco, state.episode)
     qpos = np.asarray(state.data.qpos)
     assert not list(solid.passing(qpos))
-    found = {}
+    links = {f"robot/{x}" for arm in jaco.scene.arms for x in arm.links}
+    limbs = {f"human/{x}" for x in shapes_of(jaco.task.human.limbs)}
     rng, arm = np.random.default_rng(0), jaco.scene.model.jnt_range[jaco.scene.index.robot_joint]
+    found, touched = {}, set()
     for angles in rng.uniform(*np.clip(arm, -np.pi, np.pi).T, (1500, len(arm))):
         qpos[jaco.scene.index.robot_qpos] = angles
         found |= {(part, limb): depth for part, limb, depth in solid.passing(qpos)}
-    parts = {part for part, limb in found if limb in ("human/head", "human/face", "human/neck")}
-    assert any(part.startswith("robot/finger") for part in parts)
-    assert "robot/link_7_collision" not in parts  # the palm, which is simulated
+        touched |= {frozenset(solid.names[i] for i in pair) for pair in solid.data.contact.geom}
+    assert not [pair for pair in found if pair[0] in links and pair[1] in limbs]
+    fingers = {f"robot/finger_{i}_collision" for i in (1, 2, 3)}
+    assert any(pair & fingers and "human/head" in pair for pair in touched)  # it was where it could
+    assert any(part == "robot/link_3_collision" for part, _ in found)  # which is no link of the arm
     assert min(found.values()) > inside.DEEPEST
 
 

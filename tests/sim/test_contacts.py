@@ -96,6 +96,19 @@ def test_contact_of_a_part_has_the_sum_of_forces_at_their_centre():
     np.testing.assert_allclose(moment[row] / merged[row], (0.175, 0.0, 0.8), atol=1e-6)
 
 
+def test_every_link_of_an_arm_meets_every_limb_and_its_trunk_the_helped_arm():
+    """A wrist that met arms only went 10 cm into the head in DressingJaco."""
+    for task, robot in itertools.product(TASKS.values(), ROBOTS.values()):
+        limbs = {f"human/{x}" for x in body.shapes_of(task.human.limbs)}
+        arm = {x for x in limbs if x.endswith(("upper_arm", "forearm", "hand"))}
+        met: dict[str, set[str]] = {}
+        for link, limb in contact_pairs(task, robot, ())["robot_human"]:
+            met.setdefault(link, set()).add(limb)
+        links = {f"robot/{x}" for each in robot.arms_for(task) for x in each.links}
+        assert links <= set(met) and all(met[x] == limbs for x in links)
+        assert {x: met[x] for x in set(met) - links} == {f"robot/{x}": arm for x in robot.trunk}
+
+
 # -- robots that meet themselves and what they stand on ----------------------------------------
 
 

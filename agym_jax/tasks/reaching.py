@@ -5,10 +5,6 @@ Assistive Gym v0.1's wiki, "Creating a New Assistive Environment" (reference tas
 
 DEVIATION(reaching-success): success is a hand within 3 cm of the mouth; the tutorial's code compares
 the negative distance, which always succeeds.
-DEVIATION(reaching-fingers): of Jaco's hand the palm meets the whole person, the fingers only the right arm (``sim.contacts``); in AG
-they meet everything. Under the policy that ships they are inside the head in 92 % of the control steps, by up to 57 mm (5
-episodes, every fifth step), and press on nobody: neither its success nor its gentleness is that of a hand with solid fingers. Inverse kinematics with solid
-fingers finds a pose for 23 % of 150 mouths (docs/benchmarks.md).
 DEVIATION(reaching-speed): the speed is that of the hand which reaches; the tutorial reads the PR2's
 other one.
 """

@@ -15,12 +15,16 @@ NOTHING = "*No results yet.*"
 PHYSICS_SINCE = "2026-11-23T00:15"
 """When the present physics came about (UTC, as in results): starts, motors, muscles, friction, bed, heads and what a robot may touch as in
 Assistive Gym. Tables mark what was measured before. Set it anew with a change that makes older figures wrong."""
+_LINKS = "2026-11-24T02:15"
 TASK_SINCE = {
     "ArmManipulation": "2026-11-23T07:40", "ArmManipulationJaco": "2026-11-23T11:10",
-    "BedBathingJaco": "2026-11-23T11:10", "Dressing": "2026-11-23T07:40",
+    "Dressing": "2026-11-23T07:40", "DressingJaco": _LINKS, "ReachingJaco": _LINKS,
+    "ScratchItchJaco": _LINKS, "ScratchItchPR2Human": _LINKS, "BedBathingJaco": _LINKS, "BedBathingPR2": _LINKS,
+    "BedBathingSawyerHuman": _LINKS,
 }  # fmt: skip
 """The same of ids that begin so and changed since, the latest counts: what one-armed robots observe in ArmManipulation; Jaco's
-third link and the front of its nightstand; Dressing's start and gown."""
+third link and the front of its nightstand; Dressing's start and gown; links of arms that meet every limb, where episodes of
+policies that ship are not the same as before."""
 EARLIER = "†"
 THEIRS = "assistive-gym"
 """The implementation that lines of Assistive Gym's own speed name."""

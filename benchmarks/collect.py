@@ -27,7 +27,7 @@ from agym_jax.policy.files import FILE_NAMES
 from agym_jax.policy.policy import read_policy, save_policy
 from agym_jax.registry import parse
 from benchmarks import seed_curves, tables
-from benchmarks.markdown import RESULTS, Line
+from benchmarks.markdown import RESULTS, Line, is_earlier
 from benchmarks.shipped import recorded
 from train.runs.overview import read_rows, selection_of, training_summary
 
@@ -183,6 +183,11 @@ def decide(found: Found, least: float) -> tuple[bool, str]:
         theirs, where = recorded().get(name), "its recorded evaluation"
     if not theirs:
         return ours["success"] >= least, "what ships was never measured"
+    if is_earlier(theirs):
+        return (
+            False,
+            f"what ships was measured in an earlier physics; again: python -m benchmarks.shipped --only {name}",
+        )
     measure = "gentle_success" if found.gentle else "success"
     beaten = theirs.get(measure, 0.0)
     return ours[measure] > beaten, f"what ships has {beaten:.1%} over {where}"

@@ -3,7 +3,8 @@
     python -m benchmarks.shipped --parallel 8 --num-episodes 1000 --json shipped.jsonl
     python -m benchmarks.shipped --impl native --num-episodes 5 --only ScratchItchJaco FeedingPR2Human
 
-Each evaluation is a process of its own. A figure agrees where the two 95 % intervals of success overlap. With
+Each evaluation is a process of its own; its line can be added to ``results/evaluation.jsonl``, that of a pair to
+``results/crossplay.jsonl``. A figure agrees where the two 95 % intervals of success overlap. With
 ``--flags="--humans.sizes continuous"``, or other flags of ``agym-jax evaluate``, nothing is compared.
 """
 
@@ -68,8 +69,15 @@ def evaluate(env_name: str, seed: int, config: ShippedConfig, folder: Path) -> d
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode != 0:
         return done.stderr[-500:]
-    line = json.loads(file.read_text())
-    return line | {name: "mode" for name in ("policy", "human_policy") if name in line}  # no paths
+    return as_recorded(json.loads(file.read_text()))
+
+
+def as_recorded(line: Line) -> Line:
+    """An evaluation as the files of results have it: names instead of paths, and of a pair as ``crossplay`` tells it."""
+    if "human_policy" not in line:
+        return line | {"policy": "mode"}
+    pair = {"kind": "crossplay", "robot_policy": "robot", "human_policy": "person"}
+    return line | {"policy": "mode"} | pair
 
 
 def run(

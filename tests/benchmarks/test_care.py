@@ -100,3 +100,14 @@ def test_policies_can_be_measured_with_other_flags(monkeypatch, capsys, tmp_path
     assert commands[0][0] == sys.executable and commands[0][-2:] == ["--humans.sizes", "continuous"]
     assert json.loads(out.read_text())["policy"] == "mode"  # no path of this machine
     assert "DIFFERS" not in capsys.readouterr().out
+
+
+def test_lines_of_pairs_are_told_as_the_results_have_them():
+    pair = {"env": "FeedingPR2Human-v0", "kind": "evaluation", "policy": "/a", "human_policy": "/b"}
+    told = shipped.as_recorded(pair)
+    assert (told["kind"], told["robot_policy"], told["human_policy"]) == (
+        "crossplay",
+        "robot",
+        "person",
+    )
+    assert shipped.as_recorded({"kind": "evaluation", "policy": "/a"})["kind"] == "evaluation"

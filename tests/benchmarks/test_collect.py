@@ -169,6 +169,17 @@ def test_lost_contacts_do_not_ship(runs, repository):
 
 
 @pytest.mark.slow
+def test_what_ships_is_to_be_measured_again_after_the_physics_changed(runs, repository):
+    kept = repository / "policies" / f"{ALONE}.npz"
+    kept.write_bytes((runs / ALONE / "seed_1" / "policy.npz").read_bytes())
+    before = {"env": ALONE, "success": 0.0, "time": "2026-11-21T00:00:00+00:00"}
+    (repository / "results" / "evaluation.jsonl").write_text(json.dumps(before))
+    (found,) = collecting.find(collecting.CollectConfig((runs,), (ALONE,), commit="abc"))
+    ships, why = collecting.decide(found, 0.0)
+    assert not ships and why.endswith(f"benchmarks.shipped --only {ALONE}")
+
+
+@pytest.mark.slow
 def test_a_run_of_other_settings_becomes_no_result(runs, repository, capsys):
     path, before = change(runs, ALONE, changes={"humans.sizes": "continuous"})
     try:

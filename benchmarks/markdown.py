@@ -74,10 +74,13 @@ def about(lines: Sequence[Line]) -> str:
     days = sorted({line["time"][:10] for line in lines if "time" in line})
     when = f"; {' to '.join(dict.fromkeys([days[0], days[-1]]))}" if days else ""
     earlier = [is_earlier(line) for line in lines]
-    since = {"": PHYSICS_SINCE}
-    for line in lines:
-        since |= _own_changes(line)
-    day = "; ".join(f"{t} {x.replace('T', ', ')} UTC".strip() for t, x in since.items())
+    since: dict[str, set[str]] = {PHYSICS_SINCE: set()}
+    for name, changed in (x for line in lines for x in _own_changes(line).items()):
+        since.setdefault(changed, set()).add(name)
+    day = "; ".join(
+        f"{', '.join(sorted(names))} {time.replace('T', ', ')} UTC".strip()
+        for time, names in sorted(since.items())
+    )
     before = ""
     if all(earlier) and earlier:
         before = f" **Measured before the present physics** (since {day})."

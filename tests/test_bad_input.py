@@ -323,7 +323,7 @@ def never(*_: Any) -> Any:
         (crossplay, ["--robots", "zero", "--num-episodes", "0"], ("--num-episodes",)),
         (crossplay, [], ("--runs", "--robots")),
         (compare, ["a", "b", "--num-episodes", "0"], ("--num-episodes",)),
-        (compare, ["a", "b"], ("different environments",)),
+        (compare, ["a", "b"], ("/a has no policies", "--num-seeds 8")),
         (select, ["a", "--num-episodes", "0"], ("num_episodes", "at least 1")),
         (select, ["a", "--seed", "1001"], ("--report-seed",)),
         (select, ["no_such_run"], ("no policies", "--num-seeds")),

@@ -33,6 +33,7 @@ from agym_jax.registry import parse, register_robot, register_task
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.motors import Aim, Motors
 from agym_jax.sim.scene import build_scene, compose
+from agym_jax.spec import Pose
 from agym_jax.tasks import TASKS
 
 OUR_TASKS, OUR_ROBOTS = tuple(TASKS), tuple(ROBOTS)
@@ -145,7 +146,7 @@ def test_the_scene_has_the_toys_joints_motors_and_contacts(toy: ModuleType):
 
 
 def test_c_mujoco_simulates_the_toy(toy: ModuleType):
-    model = compose(toy.WAVING, toy.TOYBOT, active=True)
+    model = compose(toy.WAVING, toy.TOYBOT, active=True, base=Pose((-3.0, 0.0, 1.0)))
     data, dofs = mujoco.MjData(model), _motors(model, "robot/")
     assert len(_motors(model, "human/")) == 4  # the person's muscles
     control = toy.WAVING.control

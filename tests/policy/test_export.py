@@ -37,7 +37,7 @@ from agym_jax.registry import active_id
 
 runtime = pytest.importorskip("onnxruntime", reason='needs pip install "agym_jax[onnx]"')
 FILES = sorted((asset_root() / "policies").rglob("*.npz"))
-ROBOT, PAIR = "ReachingJaco-v0", "ScratchItchPR2Human-v0"
+ROBOT, PAIR = "ReachingSawyer-v0", "ScratchItchPR2Human-v0"
 
 
 def session(model: Any) -> Any:
@@ -116,8 +116,8 @@ def test_a_file_describes_every_column_and_joint(tmp_path, envs, capsys):
     assert all(a[1] == b[0] for a, b in pairwise(spans))
     mouth = told["observation"][1]
     assert (mouth["name"], mouth["unit"], mouth["frame"]) == ("hand_pos_mouth", "m", "world axes, from the mouth")  # fmt: skip
-    assert [x["joint"] for x in told["action"]] == [f"j2s7s300_joint_{i}" for i in range(1, 8)]
-    assert told["action"][1]["joint_limits_rad"] == pytest.approx([0.8203, 5.4629], abs=1e-4)
+    assert [x["joint"] for x in told["action"]] == [f"right_j{i}" for i in range(7)]
+    assert told["action"][1]["joint_limits_rad"] == pytest.approx([-3.8183, 2.2824], abs=1e-4)
     assert told["trained"]["env"] == ROBOT and told["trained"]["layout"]
     assert set(told["action_meaning"]) == {"robot"}
 
@@ -126,7 +126,7 @@ def test_joints_aim_where_the_description_says(envs):
     env = envs[ROBOT]
     entry = json.loads(contract(env, "robot", {})["action"])[1]
     low, high = entry["joint_limits_rad"]
-    for start, wanted in ((3.0, 3.0 + entry["full_action_rad"]), (high - 0.12, high - 0.02)):
+    for start, wanted in ((1.0, 1.0 + entry["full_action_rad"]), (high - 0.12, high - 0.02)):
         angles, action = np.full(7, start, np.float32), np.eye(7, dtype=np.float32)[1]
         goal = env.controller.robot_goal(angles, action)[1]
         assert goal == pytest.approx(wanted, abs=1e-5) and low < goal < high
@@ -173,13 +173,13 @@ def test_a_trained_policy_is_found_in_its_run(tmp_path):
         ([ROBOT, "policy.pt"], ("ends in .onnx", "'policy.pt'")),
         ([ROBOT, ""], ("ends in .onnx",)),
         ([ROBOT, "folder.onnx"], ("is a folder",)),
-        (["ReechingJaco-v0", "p.onnx"], ("Did you mean 'ReachingJaco-v0'",)),
+        (["ReechingSawyer-v0", "p.onnx"], ("Did you mean 'ReachingSawyer-v0'",)),
         ([unshipped(), "p.onnx"], ("ships no policy", "agym-jax train")),
         ([ROBOT, "p.onnx", "--policy", "none.npz"], ("No policy 'none.npz'",)),
         ([ROBOT, "p.onnx", "--policy", "zero"], ("'zero'", "--policy")),
         ([ROBOT, "p.onnx", "--load-dir", "nowhere"], ("No policy for", "nowhere")),
         ([ROBOT, "p.onnx", "--agent", "human"], ("holds still", active_id(ROBOT))),
-        (["FeedingPR2-v0", "p.onnx", "--policy", "REACHING"], ("trained in 'ReachingJaco-v0'",)),
+        (["FeedingPR2-v0", "p.onnx", "--policy", "REACHING"], (f"trained in '{ROBOT}'",)),
         ([PAIR, "p.onnx", "--policy", "PERSON", "--agent", "robot"], ("moves the person",)),
         ([PAIR, "p.onnx", "--load-dir", "robots", "--agent", "human"], ("no person's policy",)),
     ],
@@ -238,7 +238,7 @@ def test_the_acting_part_of_the_page_needs_no_jax(folder):
         [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False, timeout=PROCESS_SECONDS
     )  # fmt: skip
     assert found.returncode == 0, found.stderr
-    assert found.stdout.startswith(f"{ROBOT} 10 Hz; j2s7s300_joint_1, ")
+    assert found.stdout.startswith(f"{ROBOT} 10 Hz; right_j0, ")
 
 
 @pytest.mark.jit

@@ -18,7 +18,7 @@ Assistive Gym. Tables mark what was measured before. Set it anew with a change t
 _LINKS = "2026-11-24T02:15"
 TASK_SINCE = {
     "ArmManipulation": "2026-11-23T07:40", "ArmManipulationJaco": "2026-11-23T11:10",
-    "Dressing": "2026-11-23T07:40", "DressingJaco": _LINKS, "DressingSawyer": _LINKS, "ReachingJaco": _LINKS,
+    "Dressing": "2026-11-23T07:40", "DressingJaco": _LINKS, "DressingSawyer": _LINKS, "ReachingJaco": _LINKS, "ReachingSawyer": _LINKS, "ReachingBaxterHuman": _LINKS,
     "ScratchItchJaco": _LINKS, "ScratchItchPR2Human": _LINKS, "BedBathingJaco": _LINKS, "BedBathingPR2": _LINKS,
     "BedBathingSawyerHuman": _LINKS,
 }  # fmt: skip

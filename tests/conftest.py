@@ -19,8 +19,8 @@ from agym_jax.jax_settings import enable_compilation_cache
 
 def pytest_configure(config: pytest.Config) -> None:
     """Compile quickly; share compiled programs, small ones too, between workers and runs (``--cache-clear`` forgets them)."""
-    # before JAX begins; a third less time for an environment that takes a few steps only
-    os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+    if config.option.markexpr == "not slow":  # programs that run for minutes had better be fast
+        os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
     if hasattr(config, "cache") and not hasattr(config, "workerinput"):
         os.environ.setdefault("AGYM_JAX_CACHE", str(config.cache.mkdir("xla")))
     enable_compilation_cache()

@@ -184,10 +184,8 @@ def decide(found: Found, least: float) -> tuple[bool, str]:
     if not theirs:
         return ours["success"] >= least, "what ships was never measured"
     if is_earlier(theirs):
-        return (
-            False,
-            f"what ships was measured in an earlier physics; again: python -m benchmarks.shipped --only {name}",
-        )
+        again = f"python -m benchmarks.shipped --only {name}"
+        return False, f"what ships was measured in an earlier physics; again: {again}"
     measure = "gentle_success" if found.gentle else "success"
     beaten = theirs.get(measure, 0.0)
     return ours[measure] > beaten, f"what ships has {beaten:.1%} over {where}"

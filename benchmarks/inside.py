@@ -27,14 +27,12 @@ from agym_jax.flags import Count
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.policy.policy import shipped
 from agym_jax.sim.scene import compose
-from agym_jax.sim.validate import COLLISION
 from agym_jax.spec import Pose
 from benchmarks.keep import keep
+from benchmarks.reach import DEEPEST, moving_parts
 from train.envs import make_env
 from train.suites.plan import named
 
-DEEPEST = 0.004
-"""What counts as inside is deeper than this [m]."""
 EVERY = 5
 """Control steps from one look to the next."""
 
@@ -62,22 +60,19 @@ class Solid:
     """
 
     def __init__(self, env: Any, episode: Any):
-        person, place = episode.human, episode.placement
+        human, place = episode.human, episode.placement
         (x, y, z), (qw, qx, qy, qz) = place.base_pos.tolist(), place.base_quat.tolist()
         simulated = env.physics.model
         self.model = model = compose(
-            env.task, env.robot, env.active, float(person.sex), float(person.stature), float(person.girth),
-            float(person.limit_scale), jax.tree.map(np.asarray, episode.pose), Pose((x, y, z), (qw, qx, qy, qz)),
+            env.task, env.robot, env.active, float(human.sex), float(human.stature), float(human.girth),
+            float(human.limit_scale), jax.tree.map(np.asarray, episode.pose), Pose((x, y, z), (qw, qx, qy, qz)),
             solid=True,
         )  # fmt: skip
         self.data = mujoco.MjData(model)
         self.names = [model.geom(i).name for i in range(model.ngeom)]
-        fixed = model.body_weldid[model.geom_bodyid] == 0
-        for i, name in enumerate(self.names):
-            person = name.startswith("human/")
-            part = name.startswith(("robot/", "tool")) and COLLISION in name and not fixed[i]
-            model.geom_contype[i], model.geom_conaffinity[i] = part, person
-            model.geom_margin[i] = model.geom_gap[i] = 0.0
+        model.geom_contype[:] = model.geom_margin[:] = model.geom_gap[:] = 0
+        model.geom_contype[moving_parts(model)] = 1
+        model.geom_conaffinity[:] = [name.startswith("human/") for name in self.names]
         model.body_contype[:] = model.body_conaffinity[:] = 1  # what any geom of a body has
         pairs = zip(simulated.pair_geom1, simulated.pair_geom2, strict=True)
         self.pairs = {frozenset(simulated.geom(i).name for i in pair) for pair in pairs}
@@ -98,8 +93,7 @@ class Solid:
             limbs = {x for x in names if x.startswith("human/")}
             if distance < -DEEPEST and len(limbs) == 1 and names not in self.pairs:
                 (part,), (limb,) = names - limbs, limbs
-                if not part.startswith(("seat/", "mount/")):
-                    yield part, limb, float(-distance)
+                yield part, limb, float(-distance)
 
 
 def measure(env_name: str, config: InsideConfig) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from agym_jax.data.npz import write_file
 from benchmarks.markdown import RESULTS, Line, mark, read_results
-from benchmarks.picture import renew
+from benchmarks.picture import command
 from train.evaluation.statistics import iqm
 
 OUTPUT = RESULTS.parent.parent / "docs" / "images" / "limits.png"
@@ -79,8 +79,7 @@ def main(
     arguments: Sequence[str] | None = None, folder: Path = RESULTS, output: Path = OUTPUT
 ) -> int:
     """The command line; returns the exit status, 1 if ``--check`` finds the picture out of date."""
-    check = "--check" in (sys.argv[1:] if arguments is None else arguments)
-    return renew(output, lines_of(folder), draw, "benchmarks.limit_curves", check)
+    return command(arguments, output, lines_of(folder), draw, "benchmarks.limit_curves")
 
 
 if __name__ == "__main__":

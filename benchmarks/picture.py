@@ -21,15 +21,17 @@ Draw = Callable[[Path, Sequence[Line], Mapping[str, str]], None]
 """Draws results into a PNG file, with texts to keep in it."""
 
 
-def renew(output: Path, lines: Sequence[Line], draw: Draw, module: str, check: bool) -> int:
-    """Draw a picture anew if it does not show these results.
+def command(
+    arguments: Sequence[str] | None, output: Path, lines: Sequence[Line], draw: Draw, module: str
+) -> int:
+    """The command line of a picture: draws it anew if it does not show these results; with ``--check``, only says so.
 
     Args:
+        arguments: words; None for those of the program.
         output: the PNG file.
         lines: the results. Without any, there need be no picture.
         draw: see ``Draw``.
-        module: what draws it as a command.
-        check: only say so.
+        module: the program.
 
     Returns:
         The exit status: 1 if a check finds it out of date.
@@ -37,7 +39,7 @@ def renew(output: Path, lines: Sequence[Line], draw: Draw, module: str, check: b
     shown = hashlib.sha256(json.dumps(lines, sort_keys=True).encode()).hexdigest()
     if _mark(output) == (shown if lines else None):
         return 0
-    if check:
+    if "--check" in (sys.argv[1:] if arguments is None else arguments):
         print(f"{output.name} is out of date: python -m {module}", file=sys.stderr)
         return 1
     draw(output, lines, {MARK: shown})

@@ -37,7 +37,8 @@ from agym_jax.sim.validate import COLLISION
 from agym_jax.spec import Pose
 from benchmarks.keep import keep
 
-DEEPEST = 0.004  # [m] that skin may yield
+DEEPEST = 0.004
+"""How far skin may yield; what is deeper is inside the person [m]."""
 NEAR = 0.003  # [m] of remaining distance at which inverse kinematics has arrived
 
 
@@ -69,6 +70,13 @@ def around(itch: tuple[float, float], radius: float, reach: float) -> np.ndarray
     offsets = reach * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * 0.9
     turn, s = angle + offsets[:, 1] / radius, along + offsets[:, 0]
     return np.stack([-radius * np.sin(turn), -radius * np.cos(turn), -s], axis=-1)
+
+
+def moving_parts(model: mujoco.MjModel) -> list[int]:
+    """Collision geoms of robot and tools that move."""
+    moves = model.body_weldid[model.geom_bodyid] != 0
+    names = ((i, model.geom(i).name) for i in range(model.ngeom))
+    return [i for i, x in names if moves[i] and x.startswith(("robot/", "tool")) and COLLISION in x]
 
 
 class Searcher:
@@ -131,14 +139,8 @@ class Searcher:
         starts = np.clip(starts, self.low, self.high).astype(np.float32)
         found, distance, _ = self.solve(jnp.asarray(starts), jnp.asarray(points, jnp.float32))
         found, distance = np.asarray(found), np.asarray(distance)
-        names = [model.geom(i).name for i in range(model.ngeom)]
-        moves = model.body_weldid[model.geom_bodyid] != 0
-        robot = [
-            i
-            for i, name in enumerate(names)
-            if name.startswith(("robot/", "tool")) and COLLISION in name and moves[i]
-        ]
-        rest = [i for i, name in enumerate(names) if name.startswith(("human/", "seat/"))]
+        robot = moving_parts(model)
+        rest = [i for i in range(model.ngeom) if model.geom(i).name.startswith(("human/", "seat/"))]
         joints = [f"robot/{j}" for arm in self.env.scene.arms for j in arm.joints]
         for i in np.argsort(distance):
             if distance[i] > NEAR:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from agym_jax.registry import list_envs
 from benchmarks.markdown import RESULTS, Line, mark, read_results
-from benchmarks.picture import renew
+from benchmarks.picture import command
 from train.runs.plots import plot_runs
 
 OUTPUT = RESULTS.parent.parent / "docs" / "images" / "seed_curves.png"
@@ -29,8 +29,7 @@ def main(
     arguments: Sequence[str] | None = None, folder: Path = RESULTS, output: Path = OUTPUT
 ) -> int:
     """The command line; returns the exit status, 1 if ``--check`` finds the picture out of date."""
-    check = "--check" in (sys.argv[1:] if arguments is None else arguments)
-    return renew(output, trainings(folder), plot_runs, "benchmarks.seed_curves", check)
+    return command(arguments, output, trainings(folder), plot_runs, "benchmarks.seed_curves")
 
 
 if __name__ == "__main__":

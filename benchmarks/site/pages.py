@@ -58,7 +58,7 @@ def versions(changelog: str) -> str:
             ]
     rest = re.sub(r"^# .*\n", "", changelog, count=1)
     body = re.sub(r"^(#+) ", r"#\1 ", rest, flags=re.M)
-    return "\n".join([*lines, "", "## All changes", relink(body, ROOT)])
+    return relink("\n".join([*lines, "", "## All changes", body]), ROOT)
 
 
 def relink(text: str, folder: Path) -> str:

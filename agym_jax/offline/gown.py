@@ -34,6 +34,9 @@ GIRTHS = ((0.0, 0.386), (0.07, 0.407), (0.11, 0.490), (0.15, 0.637), (0.33, 1.41
 HANDS, HANDS_RADIUS = ((0.0, 0.08, -0.22), (0.0, 0.5, -0.22)), 0.08
 """Thicker than a hand and the forearm behind it, in the garment's frame [m]: the gown hangs around it."""
 
+SAME_LENGTH = 1e-9
+"""Diagonals that differ by less [m] are equally long."""
+
 
 @dataclass(frozen=True)
 class GownMeasures:
@@ -99,6 +102,8 @@ def _profile(m: GownMeasures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _strip(vertices: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Triangles between two closed rings that begin beside each other, the shorter diagonal first (t, 3).
 
+    Where both diagonals are equally long the second ring advances; rounding, which differs between processors, has no say.
+
     Args:
         vertices: [m] (n, 3).
         first: vertices of one ring, in order (a,).
@@ -112,7 +117,7 @@ def _strip(vertices: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.nd
             ends[0] = float(np.linalg.norm(vertices[a[i + 1]] - vertices[b[j]]))
         if j < len(second):
             ends[1] = float(np.linalg.norm(vertices[b[j + 1]] - vertices[a[i]]))
-        if ends[0] < ends[1]:
+        if ends[0] < ends[1] - SAME_LENGTH:
             triangles.append((a[i], a[i + 1], b[j]))
             i += 1
         else:

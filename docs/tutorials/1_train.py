@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Train a policy
 #
-# PPO on C MuJoCo: Sawyer brings its hand to the person's mouth. Nothing here needs a GPU. The same on the command line is
-# `agym-jax train --env-name ReachingSawyer-v0 --num-env-steps 2e5`.
+# This tutorial trains a policy with PPO on C MuJoCo. The Sawyer robot learns to bring its hand to the person's mouth. No GPU is needed.
+# The equivalent command is `agym-jax train --env-name ReachingSawyer-v0 --num-env-steps 2e5`.
 
 # %%
 import dataclasses
@@ -15,8 +15,8 @@ from agym_jax.train import ppo
 from agym_jax.train.configs import config_for
 
 # %% [markdown]
-# `config_for` has the settings that the task was tuned with. Here a few thousand steps are enough to see that it works; 200,000
-# take about a minute on two cores, and then the hand finds the mouth.
+# `config_for` returns the settings that were tuned for the task. A few thousand steps are enough here to see that training works. With
+# 200,000 steps, which take about a minute on two cores, the hand reaches the mouth.
 
 # %%
 env = agym_jax.make("ReachingSawyer-v0", impl="native", episode_length=50)
@@ -32,8 +32,8 @@ for row in result.curve:
     print(f"{row['env_steps']:6,} steps   reward of a step {row['return_per_step'] / 50:6.3f}")
 
 # %% [markdown]
-# The result has the policy, a function of the observation. `agym_jax.policy.save_policy(path, policy)` keeps it in a file, and with a
-# `save_dir` training writes checkpoints, the curve and the policy itself.
+# The result contains the policy, which is a function of the observation. `agym_jax.policy.save_policy(path, policy)` saves it to a file. If
+# `save_dir` is set, training writes checkpoints, the learning curve and the policy automatically.
 
 # %%
 import jax

@@ -1,7 +1,8 @@
 # %% [markdown]
 # # Evaluate a policy
 #
-# How often it succeeds, how gently, and with whom. On the command line: `agym-jax evaluate --env-name ReachingSawyer-v0`.
+# This tutorial measures how often a policy succeeds, how gently, and with which groups of people. The equivalent command is
+# `agym-jax evaluate --env-name ReachingSawyer-v0`.
 
 # %%
 import agym_jax
@@ -16,7 +17,8 @@ result = evaluate(env, policy, num_episodes=32)
 print(result.table())
 
 # %% [markdown]
-# Baselines have names. The interval of a success rate is wide with few episodes: 1,000 are what the tables of this site have.
+# Baselines such as `"zero"` are selected by name. With few episodes, the confidence interval of a success rate is wide; the tables on this site
+# use 1,000 episodes.
 
 # %%
 zero = evaluate(env, "zero", num_episodes=32)

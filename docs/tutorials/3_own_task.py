@@ -1,8 +1,8 @@
 # %% [markdown]
-# # A task of your own
+# # Create your own task
 #
-# Change weights and thresholds of a task that there is, or write one. A change is an argument of `make`; `agym-jax settings ID` lists
-# what there is.
+# You can change the weights and thresholds of an existing task, or write a new task. Changes are passed to `make`; `agym-jax settings ID`
+# lists the available settings.
 
 # %%
 import dataclasses
@@ -16,8 +16,9 @@ env = agym_jax.make("ReachingSawyer-v0", impl="native", config={"distance": 2.0,
 print(env.changes)
 
 # %% [markdown]
-# A new task is a frozen dataclass with the functions of [creating an environment](../create_an_environment.md). The quickest way to one is to
-# inherit from one that there is: here the hand stays 10 cm before the mouth. It starts as Reaching does, so Reaching's placements fit.
+# A new task is a frozen dataclass with the methods described in [creating an environment](../create_an_environment.md). The quickest way is to
+# inherit from an existing task. In this example, the hand stays 10 cm in front of the mouth. Episodes start as in Reaching, so Reaching's
+# placement bank can be used.
 
 # %%
 from agym_jax.tasks.reaching import Reaching, ReachState

@@ -1,7 +1,7 @@
 # %% [markdown]
-# # Robots of your own
+# # Vary or add robots
 #
-# Vary one that there is, or add one. `RobotVariation` draws friction, strength, latency and sensor noise anew in every episode.
+# You can vary an existing robot, or add a new one. `RobotVariation` draws friction, strength, latency and sensor noise for every episode.
 
 # %%
 import jax
@@ -16,8 +16,8 @@ for seed in range(3):
     print(f"strength {float(drawn.strength):.2f}, latency {int(drawn.latency)} control steps")
 
 # %% [markdown]
-# How a policy that never met such robots does with them is a question for `agym-jax evaluate --robot.latency 0 2 --any-env`; a policy that
-# was trained with them is another one, and says so.
+# To evaluate a policy on robot variations it was not trained with, use `agym-jax evaluate --robot.latency 0 2 --any-env`. A policy that was
+# trained with variations records them.
 
 # %%
 state = env.reset(jax.random.key(0))
@@ -27,7 +27,8 @@ for _ in range(20):
 print("distance", round(float(state.task.distance), 3), "m;", env.changes)
 
 # %% [markdown]
-# A new robot is an MJCF file and a record. [Creating an environment](../create_an_environment.md#add-a-robot) has the rules; this is Jaco's:
+# A new robot consists of an MJCF file and a record. [Creating an environment](../create_an_environment.md#add-a-robot) lists the rules. This is
+# Jaco's record:
 
 # %%
 from agym_jax.robots.jaco import JACO

@@ -1,8 +1,8 @@
 # %% [markdown]
-# # People of your own
+# # Change the people
 #
-# Each episode has another person. By default that is Assistive Gym's: an average man or woman, with no impairment, narrower joint
-# limits, weak muscles, or a tremor.
+# Each episode has a different person. By default, people are drawn as in Assistive Gym: an average man or woman with no impairment, reduced
+# joint limits, weak muscles, or a tremor.
 
 # %%
 import jax
@@ -25,7 +25,7 @@ for human in people:
     )
 
 # %% [markdown]
-# The person is part of the state: of a batch, each environment has its own. `state.episode.human` holds them as arrays.
+# The person is part of the state, so each environment of a batch has its own. `state.episode.human` holds their properties as arrays.
 
 # %%
 from agym_jax.wrappers import vectorize
@@ -36,7 +36,7 @@ print("statures", np.round(states.episode.human.stature, 2))
 assert len(np.unique(states.episode.human.stature)) == 16
 
 # %% [markdown]
-# What a task says of its person (which joints move, how they sit, how strong they are) is its `HumanSpec`.
+# The `HumanSpec` of a task describes its person: which joints move, how they sit, and how strong they are.
 
 # %%
 print(env.task.human.joints, env.task.human.impairments, env.task.human.passive_mode, sep="\n")

@@ -1,8 +1,9 @@
 # %% [markdown]
 # # PyTorch
 #
-# Thousands of environments with tensors in and out, which share memory with JAX's arrays. Needs `pip install "agym_jax[torch]"`; where
-# PyTorch is not installed, as on the machine that builds these pages, this tutorial says so and does nothing.
+# This tutorial steps environments with PyTorch tensors as inputs and outputs. The tensors share memory with JAX arrays, and the same code
+# works for thousands of environments. It needs `pip install "agym_jax[torch]"`. If PyTorch is not installed, as on the machine that builds
+# these pages, the tutorial prints a message and skips the example.
 
 # %%
 from agym_jax.errors import MissingExtraError
@@ -14,7 +15,8 @@ except MissingExtraError as error:
     print(error)
 
 # %% [markdown]
-# `reset` and `step` are those of Gymnasium's vectors. An episode that ends begins anew in the same step, as somebody else.
+# `reset` and `step` have the same interface as Gymnasium's vector environments. When an episode ends, the next one starts in the same step,
+# with another person.
 
 # %%
 if TorchVectorEnv:
@@ -29,5 +31,5 @@ if TorchVectorEnv:
     assert torch.isfinite(obs).all()
 
 # %% [markdown]
-# Weights, people and robots are changed as everywhere: `TorchVectorEnv(id, num_envs, config={"distance": 2.0})`. Adapters for rsl_rl, skrl and
-# Stable-Baselines3 are modules beside this one.
+# Weights, people and robots are changed with the same arguments as in `make`: `TorchVectorEnv(id, num_envs, config={"distance": 2.0})`. The
+# adapters for rsl_rl, skrl and Stable-Baselines3 are described in the [PyTorch guide](../torch.md).

@@ -44,6 +44,8 @@ class TrainingSpeedConfig:
     """Environments of each seed on each device; 0 = as many as training takes."""
     num_seeds: Count = 1
     """Seeds that learn side by side; their steps count together."""
+    gradient_precision: Literal["float32", "tensorfloat32"] = "float32"
+    """Of matrix products in gradients, see ``agym-jax train --help``."""
     updates: Count = 20
     """In one measurement, rounded up to whole calls."""
     impl: str = "auto"
@@ -64,6 +66,8 @@ def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[st
         joint = dataclasses.replace(joint, allow_joint_observation=True)
         result = ppo.train(env, _settings(joint, config, devices), for_terminal())
     speeds = [row["steps_per_second"] for row in result.curve[1:]]
+    precision = config.gradient_precision
+    changes = {} if precision == "float32" else {"gradient_precision": precision}
     return {
         "env": env.name,
         "impl": env.impl,
@@ -76,6 +80,7 @@ def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[st
         "steps_per_s_min": round(min(speeds)),
         "steps_per_s_max": round(max(speeds)),
         "nan": result.nan_steps,
+        **({"changes": changes} if changes else {}),
     }
 
 
@@ -89,6 +94,7 @@ def _settings(settings: Config, config: TrainingSpeedConfig, devices: int) -> Co
         num_envs=num_envs,
         num_env_steps=(CALLS + 1) * each * num_envs * settings.num_steps,
         log_interval=each,
+        gradient_precision=config.gradient_precision,
         devices=devices,
         num_seeds=config.num_seeds,
         save_dir=None,

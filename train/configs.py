@@ -85,6 +85,9 @@ class LearnConfig(EnvFlags):
     recompute_advantages: bool | None = None
     """Estimate advantages and value targets anew before every pass over the data of an update. None: where an update
     has at least 10,000 samples; a value function that knows fewer by heart would learn its own errors."""
+    gradient_precision: Literal["float32", "tensorfloat32"] = "float32"
+    """Of matrix products in gradients: NVIDIA's TensorFloat-32 is faster and rounds their factors to 10 bits. Environments,
+    actions, values and advantages always take float32, as does everything on a CPU."""
     value_loss_coef: float = 0.5
     """Weight of the value loss (which itself carries another 0.5)."""
     entropy_coef: float = 0.0

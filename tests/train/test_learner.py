@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from train.learning.ppo import (
     architecture,
     compute_gae,
     init_agent,
+    last_observations,
     learn,
     ppo_loss,
     values_of,
@@ -45,10 +47,11 @@ def make_batch(obs, reward, done, truncation, final_critic_obs):
     )
 
 
-def advantages_of(batch, last_obs, value=lambda obs: obs[..., 0]):
+def advantages_of(batch, last_obs, value=lambda obs: obs[..., 0], episode_length=None):
     """Advantages with a value function that reads the observation."""
     last = jnp.asarray(last_obs, jnp.float32)[..., None]
-    values, next_values = values_of(value, batch, last)
+    ends = last_observations(batch, episode_length)
+    values, next_values = values_of(value, batch, last, ends)
     return compute_gae(batch.reward, values, next_values, batch.done, GAMMA, GAMMA * LAMBDA)
 
 
@@ -89,6 +92,28 @@ def test_a_time_limit_does_not_matter_to_a_value_function_that_is_right():
     # Taken for a termination, the same step costs all that would have come after it.
     ended = dataclasses.replace(batch, truncation=jnp.zeros_like(batch.truncation))
     np.testing.assert_allclose(advantages_of(ended, [worth])[5], -GAMMA * worth, rtol=1e-5)
+
+
+@pytest.mark.parametrize("length", [4, 9, 20])
+def test_only_last_observations_of_episodes_are_read(length):
+    rng = np.random.default_rng(0)
+    steps, envs = 9, 6
+    obs, reward, final = rng.normal(size=(3, steps, envs))
+    phase = rng.integers(length, size=envs)
+    cut = (np.arange(steps)[:, None] + phase) % length == length - 1
+    assert cut.sum(0).max() == -(-steps // length)
+    failed = (rng.random((steps, envs)) < 0.1) & ~cut
+    batch = make_batch(obs, reward, cut | failed, cut, np.where(failed, np.nan, final))
+    read = []
+
+    def value(obs):
+        read.append(obs.size)
+        return jnp.sin(obs[..., 0])
+
+    some = advantages_of(batch, obs[0], value, length)
+    np.testing.assert_allclose(some, advantages_of(batch, obs[0], value), rtol=1e-6)
+    assert np.isfinite(some).all()
+    assert read == [(steps + 1 + -(-steps // length)) * envs, (2 * steps + 1) * envs]
 
 
 def test_value_targets_agree_with_brax_where_nothing_is_truncated():
@@ -186,6 +211,28 @@ def test_advantages_are_estimated_anew_before_every_pass_where_that_is_asked_for
     np.testing.assert_allclose(*same, atol=1e-6)  # before the first pass there is nothing new
     other = after(recompute_advantages=True, **often), after(recompute_advantages=False, **often)
     assert np.abs(other[0] - other[1]).max() > 1e-3
+
+
+def test_only_gradients_are_less_precise_and_only_where_that_is_asked_for():
+    rows = np.random.default_rng(0).normal(size=(5, 4))
+    batch = make_batch(rows, rows, rows * 0, rows * 0, rows)
+
+    def precisions(**settings):
+        config = PPOConfig(policy_hidden=(8,), value_hidden=(8,), num_mini_batch=1, **settings)
+        arch = architecture(config, 1, 1)
+        agent, _ = init_agent(arch, jax.random.PRNGKey(1))
+        traced = jax.make_jaxpr(
+            lambda agent: learn(agent, batch, batch.obs[-1], jax.random.PRNGKey(2), Hyper.of(config, 100),
+                                config, make_networks(arch))
+        )(agent)  # fmt: skip
+        found = re.findall(r"precision=\(?(?:Precision\.)?(\w+)", str(traced))
+        return {name: found.count(name) for name in set(found)}
+
+    full, fast = precisions(), precisions(gradient_precision="tensorfloat32")
+    assert set(full) == {"HIGHEST"} and set(fast) == {"HIGHEST", "HIGH"}
+    assert fast["HIGH"] + fast["HIGHEST"] == full["HIGHEST"]
+    assert fast["HIGH"] >= 2 * 2 + 2 * 2 - 2  # two networks of two layers, forwards and backwards
+    assert fast["HIGHEST"] >= 2  # values
 
 
 def test_the_change_of_a_value_is_clipped_where_that_is_asked_for():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -43,8 +44,34 @@ def compute_gae(
     return advantages
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LastObservations:
+    """What value functions read at the truncations of a batch, of each environment up to K; the others are rows without one."""
+
+    step: jax.Array  # int32 (K, B)
+    critic_obs: jax.Array  # (K, B, critic observation)
+
+
+def last_observations(batch: Batch, episode_length: int | None = None) -> LastObservations:
+    """The last observations of the episodes that a batch cut off.
+
+    Few steps end an episode by its length, so that a value function need not read what follows each step.
+
+    Args:
+        batch: a rollout of T steps of B environments, in the agent's own view.
+        episode_length: steps between two truncations of an environment at least; None if every step may be one.
+    """
+    steps = len(batch.truncation)
+    most = steps if episode_length is None else -(-steps // episode_length)
+    step = jnp.argsort(batch.truncation <= 0, axis=0, stable=True)[:most]
+    return LastObservations(
+        step, jnp.take_along_axis(batch.final_critic_obs, step[..., None], axis=0)
+    )
+
+
 def values_of(
-    value: Callable[[jax.Array], jax.Array], batch: Batch, last: jax.Array
+    value: Callable[[jax.Array], jax.Array], batch: Batch, last: jax.Array, ends: LastObservations
 ) -> tuple[jax.Array, jax.Array]:
     """Values that the steps of a batch started from and led to.
 
@@ -52,11 +79,15 @@ def values_of(
         value: value function, (..., critic observation) -> (...).
         batch: a rollout of T steps of B environments, in the agent's own view.
         last: what the value function reads after the rollout    (B, critic observation).
+        ends: ``last_observations`` of the batch.
 
     Returns:
         ``values`` and ``next_values`` of ``compute_gae``    (T, B) each.
     """
     read = batch.obs if batch.critic_obs is None else batch.critic_obs
-    values = value(jnp.concatenate([read, last[None]]))
-    final = jnp.where(batch.truncation > 0, value(batch.final_critic_obs), 0.0)
-    return values[:-1], jnp.where(batch.done > 0, final, values[1:])
+    values = value(jnp.concatenate([read, last[None], ends.critic_obs]))
+    values, after, final = jnp.split(values, [len(read), len(read) + 1])
+    final = jnp.zeros_like(values).at[ends.step, jnp.arange(len(last))].set(final)
+    final = jnp.where(batch.truncation > 0, final, 0.0)
+    following = jnp.concatenate([values[1:], after])
+    return values, jnp.where(batch.done > 0, final, following)

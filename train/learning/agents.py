@@ -201,6 +201,7 @@ class Agents:
                 self.config,
                 agent.networks,
                 axis,
+                self.episode_length,
             )
             losses |= {self._loss(agent.name, name): value for name, value in scalars.items()}
         return replace(learner, agents=states), losses

@@ -32,7 +32,7 @@ import optax
 
 from ..configs import LearnConfig
 from ..errors import ConfigError
-from .advantage import compute_gae, values_of
+from .advantage import LastObservations, compute_gae, values_of
 from .rollout import COMFORT_KEY, Batch, RolloutState, Totals, record_step
 
 SHARED = ("cost", "multiplier")
@@ -186,6 +186,7 @@ def learn_constraint(
     state: ConstraintState | None,
     batch: Batch,
     last: jax.Array,
+    ends: LastObservations,
     key: jax.Array,
     hyper: Any,
     config: LearnConfig,
@@ -201,6 +202,7 @@ def learn_constraint(
         state: before the update; None without a cost limit, and then nothing happens.
         batch: rollout of (T, B), in the agent's own view, with costs.
         last: what value functions read after it    (B, critic observation).
+        ends: ``last_observations`` of the batch.
         key: random key of the update.
         hyper: ``train.learning.ppo.Hyper``.
         config: settings that the program is compiled for.
@@ -218,7 +220,7 @@ def learn_constraint(
     assert batch.cost is not None  # config.cost_limit makes both
     cost = mean(jnp.mean(batch.cost)) * hyper.constraint.episode_length
     smooth, integral, multiplier = control(state, cost, hyper.constraint, progress)
-    values, next_values = values_of(lambda obs: value(state.params, obs), batch, last)
+    values, next_values = values_of(lambda obs: value(state.params, obs), batch, last, ends)
     advantage = compute_gae(
         batch.cost, values, next_values, batch.done, hyper.gamma, hyper.gae_discount
     )
@@ -233,7 +235,8 @@ def learn_constraint(
 
     def step(carry: tuple, rows: jax.Array) -> tuple[tuple, jax.Array]:
         params, opt_state = carry
-        error, grads = jax.value_and_grad(loss)(params, rows)
+        with jax.default_matmul_precision(config.gradient_precision):
+            error, grads = jax.value_and_grad(loss)(params, rows)
         changes, opt_state = optimizer.update(mean(grads), opt_state)
         params = jax.tree.map(lambda p, c: p - rate * c, params, changes)
         return (params, opt_state), error

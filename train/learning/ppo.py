@@ -29,7 +29,7 @@ from agym_jax.policy.networks import STD_MIN, Architecture, init_policy, make_ne
 from agym_jax.state import strong
 
 from ..configs import LearnConfig
-from .advantage import compute_gae, values_of
+from .advantage import compute_gae, last_observations, values_of
 from .constraint import (
     ConstraintHyper,
     init_constraint,
@@ -242,6 +242,7 @@ def learn(
     config: LearnConfig,
     networks: Any,
     axis: str | None = None,
+    episode_length: int | None = None,
 ) -> tuple[AgentState, dict[str, jax.Array]]:
     """One update from one rollout.
 
@@ -254,6 +255,7 @@ def learn(
         config: settings that the program is compiled for: passes, mini-batches, what is normalised.
         networks: from ``make_networks``.
         axis: name of the axis of devices that each have a part of the batch.
+        episode_length: steps after which episodes are truncated; None if that is not known.
 
     Returns:
         State after, and the mean of each of ``LOSSES``; with a cost limit also of ``COST_LOSSES``.
@@ -270,7 +272,7 @@ def learn(
         reward = jnp.clip(reward / std, -REWARD_CLIP, REWARD_CLIP)
 
     statistics = agent.critic_normalizer or agent.normalizer
-    size = reward.size
+    size, ends = reward.size, last_observations(batch, episode_length)
 
     def flat(leaves: dict[str, jax.Array]) -> dict[str, jax.Array]:
         return {name: leaf.reshape(size, *leaf.shape[2:]) for name, leaf in leaves.items()}
@@ -278,7 +280,7 @@ def learn(
     def estimate(params: Any) -> dict[str, jax.Array]:
         """Values and normalised advantages, by these parameters of the value function."""
         values, next_values = values_of(
-            lambda obs: networks.value_network.apply(statistics, params, obs), batch, last
+            lambda obs: networks.value_network.apply(statistics, params, obs), batch, last, ends
         )
         advantage = compute_gae(
             reward, values, next_values, batch.done, hyper.gamma, hyper.gae_discount
@@ -295,6 +297,7 @@ def learn(
         agent.constraint,
         batch,
         last,
+        ends,
         key,
         hyper,
         config,
@@ -318,10 +321,11 @@ def learn(
         params, state = carry
         rows, key = item
         part = {name: leaf[rows] for name, leaf in data.items()}
-        grads, scalars = gradient(
-            params, agent.normalizer, part, key, hyper, networks, entropy_coef,
-            agent.critic_normalizer,
-        )  # fmt: skip
+        with jax.default_matmul_precision(config.gradient_precision):
+            grads, scalars = gradient(
+                params, agent.normalizer, part, key, hyper, networks, entropy_coef,
+                agent.critic_normalizer,
+            )  # fmt: skip
         changes, state = optimizer.update(mean(grads), state)
         params = jax.tree.map(lambda p, c: p - rate * c, params, changes)
         return (params, state), scalars

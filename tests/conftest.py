@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from compiled import ACTIVE, BATCH, STATIC, CompiledBatch, Rollout, compile_batch, roll
 from groups import arrange, scheduler
+from xla_flags import compile_quickly
 
 import agym_jax
 from agym_jax.jax_settings import enable_compilation_cache
@@ -19,8 +20,7 @@ from agym_jax.jax_settings import enable_compilation_cache
 
 def pytest_configure(config: pytest.Config) -> None:
     """Compile quickly; share compiled programs, small ones too, between workers and runs (``--cache-clear`` forgets them)."""
-    if config.option.markexpr == "not slow":  # programs that run for minutes had better be fast
-        os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+    compile_quickly()
     if hasattr(config, "cache") and not hasattr(config, "workerinput"):
         os.environ.setdefault("AGYM_JAX_CACHE", str(config.cache.mkdir("xla")))
     enable_compilation_cache()

@@ -16,6 +16,7 @@ from brax.training import pmap
 from brax.training.agents.ppo import train as ppo
 from brax.training.agents.sac import train as sac
 from paths import PROCESS_SECONDS
+from xla_flags import with_devices
 
 from agym_jax.compat import brax_jax
 
@@ -38,7 +39,7 @@ print(json.dumps({
 
 def _in_a_fresh_process(**environment: str) -> dict:
     """What ``CHILD`` finds on two devices."""
-    two = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
+    two = with_devices(2)
     done = subprocess.run(
         [sys.executable, "-c", CHILD],
         capture_output=True,

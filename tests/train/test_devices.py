@@ -11,11 +11,12 @@ import subprocess
 import pytest
 from paths import PROCESS_SECONDS
 from train_runs import start_python
+from xla_flags import with_devices
 
 from train.errors import ConfigError
 from train.learning.hosts import join_hosts, parse_hosts
 
-TWO = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+TWO = with_devices(2)
 
 # One rollout, learned from whole on one device and in two halves on two devices.
 SAME_UPDATE = """

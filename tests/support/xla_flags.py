@@ -1,0 +1,27 @@
+"""How XLA compiles for tests: quickly. Most tests run a program for a few steps only, so that compiling it takes most of their time."""
+
+from __future__ import annotations
+
+import os
+from importlib.metadata import version
+
+KNOWN = {
+    "": "--xla_backend_optimization_level=0",
+    # others may lack one of these, and an unknown flag ends the process
+    "0.10.": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
+    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 "
+    "--xla_cpu_experimental_ynn_fusion_type= --xla_cpu_multi_thread_eigen=false",
+}
+"""Beginning of a version of jaxlib -> flags; together they halve the time (tests/sim/test_parity.py, 118 to 61 s of CPU time)."""
+
+
+def compile_quickly() -> None:
+    """Set ``XLA_FLAGS`` of this process and of those that it starts, unless they are set."""
+    flags = max((x for x in KNOWN if version("jaxlib").startswith(x)), key=len)
+    os.environ.setdefault("XLA_FLAGS", KNOWN[flags])
+
+
+def with_devices(count: int) -> dict[str, str]:
+    """Environment variables of a process with several CPU devices."""
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={count}"
+    return {"XLA_FLAGS": flags.strip(), "JAX_PLATFORMS": "cpu"}

@@ -5,7 +5,7 @@
 >>> state = env.reset(jax.random.key(0))
 >>> state = env.step(state, jnp.zeros(env.action_size))
 
-Importing the package imports neither JAX nor a task: each is loaded when it is first needed.
+Importing the package does not import JAX or any task: each is loaded on first use.
 """
 
 from __future__ import annotations
@@ -54,22 +54,23 @@ def make(
     """Build an environment.
 
     Args:
-        name: its id, such as ``"ScratchItchJaco-v0"``; ``list_envs()`` has them all.
-        impl: physics: MJX in ``"jax"`` (anywhere) or ``"warp"`` (NVIDIA GPUs), ``"auto"`` for the one that
-            fits, or ``"native"``: C MuJoCo on the CPU, alone or in batches (``wrappers.vectorize``), not to be jitted or vmapped.
-        humans: an ``agym_jax.Population``, if not Assistive Gym's men and women.
-        num_envs: how many environments will be stepped together; sizes Warp's buffers.
+        name: environment id, such as ``"ScratchItchJaco-v0"``; ``list_envs()`` returns all of them.
+        impl: physics implementation: ``"jax"`` (MJX, any device), ``"warp"`` (MJX, NVIDIA GPUs), ``"auto"`` to
+            choose between these two for the device, or ``"native"`` (C MuJoCo on the CPU; steps one environment or a
+            batch with ``wrappers.vectorize``, but cannot be jitted or vmapped).
+        humans: an ``agym_jax.Population``; defaults to Assistive Gym's men and women.
+        num_envs: number of environments that will be stepped together; determines the size of Warp's buffers.
             ``agym_jax.wrappers.vectorize`` sets it for you.
-        config: weights and thresholds of the task that are other than its own, such as ``{"scratch": 3.0,
-            "preferences": {"velocity": 0.5}}``; ``agym-jax settings ID`` prints what there is.
-        episode_length: control steps of an episode, if not the task's 200.
-        robot: an ``agym_jax.RobotVariation``: ranges of friction, strength of motors, latency and noise of sensors, from which
-            every episode draws; None for a robot that is always the same.
+        config: task weights and thresholds to override, such as ``{"scratch": 3.0,
+            "preferences": {"velocity": 0.5}}``; ``agym-jax settings ID`` prints what can be set.
+        episode_length: control steps per episode; defaults to the task's own length of 200.
+        robot: an ``agym_jax.RobotVariation``: the ranges of friction, motor strength, latency and sensor noise from
+            which every episode draws; None for a robot that does not vary.
 
     Raises:
-        UnknownNameError: there is no such id or setting; the message has the nearest.
-        ImplementationError: Warp was asked for and is not installed.
-        ArgumentError: a setting, length, population or variation that makes no sense.
+        UnknownNameError: if there is no such id or setting; the message suggests the closest match.
+        ImplementationError: if Warp was requested but is not installed.
+        ArgumentError: if a setting, the length, the population or the variation is invalid.
     """
     from agym_jax.changes import change_task
     from agym_jax.env import AssistiveEnv
@@ -85,20 +86,20 @@ def make(
 
 
 def load_policy(source: str | Path, env: Env | None = None) -> Policy | Pair:
-    """Load a policy: a function ``policy(obs) -> action``, for one observation or a batch.
+    """Load a policy: a function ``policy(obs) -> action`` for one observation or a batch.
 
     Args:
-        source: an environment id, whose shipped policy is meant: the robot's, or for ``...Human-v0``
-            the pair of robot and person; or the path of a policy file or of a training run's folder.
-        env: environment that it must fit; its people and length of episodes may be others than in training. None skips
-            that check.
+        source: an environment id, to load the policy shipped for it (the robot's policy, or for ``...Human-v0`` the
+            pair of robot and person); or the path of a policy file or of a training run's folder.
+        env: environment that the policy must fit; its population and episode length may differ from those used in
+            training. None skips this check.
 
     Raises:
-        PolicyNotFoundError: there is none; the message has the nearest, and how to train one.
-        PolicyDamagedError: the file is not whole, or no policy.
-        PolicyEnvironmentError: it was trained for another task, robot or agent than ``env``'s, or with other weights,
-            thresholds or variations of the robot.
-        PolicyLayoutError: it reads another observation than ``env``'s.
+        PolicyNotFoundError: if there is no such policy; the message suggests the closest match and how to train one.
+        PolicyDamagedError: if the file is damaged or is not a policy.
+        PolicyEnvironmentError: if the policy was trained for another task, robot or agent than ``env``'s, or with
+            different weights, thresholds or robot variation.
+        PolicyLayoutError: if the policy expects a different observation from ``env``'s.
     """
     from agym_jax.policy import load_policy as load
 
@@ -106,7 +107,7 @@ def load_policy(source: str | Path, env: Env | None = None) -> Policy | Pair:
 
 
 def list_envs() -> list[str]:
-    """Every environment id."""
+    """Return every environment id."""
     from agym_jax.registry import list_envs as ids
 
     return ids()
@@ -133,11 +134,12 @@ def __getattr__(name: str) -> Any:
 
 
 def register_envs() -> None:
-    """Make every id known to gymnasium's ``make`` and ``make_vec``.
+    """Register every id with Gymnasium's ``make`` and ``make_vec``.
 
     They build ``agym_jax.adapters.gymnasium.GymnasiumEnv`` and ``agym_jax.adapters.vector.GymnasiumVectorEnv``.
-    Done on import, by name only: Gymnasium 1.0 dropped the entry point of plug-ins, and finds ids of
-    packages that have been imported. Do it again after ``agym_jax.registry`` was given a task or robot.
+    This runs when the package is imported and registers names only: Gymnasium 1.0 dropped its plug-in entry point and
+    knows only the ids of packages that have been imported. Call it again after adding a task or robot to
+    ``agym_jax.registry``.
     """
     import gymnasium
 

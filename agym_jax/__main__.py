@@ -1,7 +1,7 @@
 """The command line: ``agym-jax COMMAND ...``, or the same with ``python -m agym_jax``.
 
-Each command is a function ``main(argv, prog=...)`` of a module that is imported when the command is
-given, so that the list of commands needs no JAX.
+Each command is a function ``main(argv, prog=...)`` in a module that is imported only when the command is
+used, so that listing the commands does not require JAX.
 """
 
 from __future__ import annotations
@@ -27,35 +27,35 @@ TRAINER = "agym_jax.train"
 
 COMMANDS = {
     "list": ("", "print the environment ids"),
-    "observe": ("", "print the observations of an id, column by column"),
-    "settings": ("", "print what can be changed of an id: weights, thresholds, people"),
-    "demo": (f"{TRAINER}.demo", "see it work on a CPU, in a few minutes"),
-    "train": (f"{TRAINER}.ppo", "train a robot's policy with PPO"),
-    "coop": (f"{TRAINER}.coop", "train robot and person side by side"),
-    "evaluate": (f"{TRAINER}.evaluate", "measure a policy over many episodes"),
-    "enjoy": (f"{TRAINER}.enjoy", "watch a policy: a film, pictures, or MuJoCo's viewer"),
-    "view": ("agym_jax.viewer.command", "see and drive an episode in the browser"),
-    "crossplay": (f"{TRAINER}.crossplay", "measure every robot's policy with every person's"),
-    "select": (f"{TRAINER}.select", "choose the seed of a run to use, over people of its own"),
-    "compare": (f"{TRAINER}.compare", "tell whether one setting is better than another, over seeds"),
-    "export": ("agym_jax.policy.export", "write a policy as ONNX, to run it anywhere"),
-    "sweep": (f"{TRAINER}.sweep", "compare hyper-parameters, several seeds each, in one program"),
-    "suite": (f"{TRAINER}.suite", "train and choose policies of many environments"),
-    "placements": ("agym_jax.offline.placements", "build start placements of ids, or report on them"),
-    "postures": ("agym_jax.offline.bed_postures", "build postures of people in bed, or report on them"),
-    "particles": ("agym_jax.offline.particle_fill", "build the fillings of spoon and cup"),
+    "observe": ("", "print an environment's observations, column by column"),
+    "settings": ("", "print an environment's settings: weights, people, robot, length"),
+    "demo": (f"{TRAINER}.demo", "run a demonstration on a CPU, in a few minutes"),
+    "train": (f"{TRAINER}.ppo", "train a robot policy with PPO"),
+    "coop": (f"{TRAINER}.coop", "train a robot policy and a person policy together"),
+    "evaluate": (f"{TRAINER}.evaluate", "evaluate a policy over many episodes"),
+    "enjoy": (f"{TRAINER}.enjoy", "watch a policy: as a video, as pictures, or in MuJoCo's viewer"),
+    "view": ("agym_jax.viewer.command", "watch and control an episode in the browser"),
+    "crossplay": (f"{TRAINER}.crossplay", "evaluate every robot policy with every person policy"),
+    "select": (f"{TRAINER}.select", "choose the best seed of a run and evaluate it on other people"),
+    "compare": (f"{TRAINER}.compare", "test whether one setting is better than another, over seeds"),
+    "export": ("agym_jax.policy.export", "export a policy to ONNX, to run it anywhere"),
+    "sweep": (f"{TRAINER}.sweep", "compare hyperparameters, several seeds each, in one program"),
+    "suite": (f"{TRAINER}.suite", "train many environments and choose a policy for each"),
+    "placements": ("agym_jax.offline.placements", "build or report on the robots' start placements"),
+    "postures": ("agym_jax.offline.bed_postures", "build or report on the postures of people in bed"),
+    "particles": ("agym_jax.offline.particle_fill", "build the particle fillings of the spoon and the cup"),
     "gown": ("agym_jax.offline.gown", "build the hospital gown"),
-    "arm-limits": ("agym_jax.offline.fit_limits", "fit the network of the arms' limits to samples"),
+    "arm-limits": ("agym_jax.offline.fit_limits", "fit the network of the arm's joint limits to samples"),
 }  # fmt: skip
-"""Name -> module with its ``main`` (none: it is here), and what it does."""
+"""Command -> module with its ``main`` (empty if it is in this module), and its description."""
 ALIASES = {"ppo": "train"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit status.
+    """Run the command line and return the exit status.
 
     Args:
-        argv: words; None for those of the program.
+        argv: command-line arguments; None for those of this process.
     """
     words = sys.argv[1:] if argv is None else list(argv)
     prog = program_name(sys.argv[0])
@@ -84,25 +84,25 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def program_name(path: str) -> str:
-    """How the user calls the program whose file is ``sys.argv[0]``."""
+    """Return the name by which the user started the program whose file is ``sys.argv[0]``."""
     name = Path(path).name
     return "python -m agym_jax" if name == "__main__.py" else name.removesuffix(".exe")
 
 
 def usage(prog: str) -> str:
-    """All commands, one a line."""
+    """List all commands, one per line."""
     width = max(map(len, COMMANDS))
     lines = [f"usage: {prog} COMMAND ...", "", agym_jax.__doc__.splitlines()[0], "", "commands:"]
     lines += [f"  {name:<{width}}  {does}" for name, (_, does) in COMMANDS.items()]
-    return "\n".join([*lines, "", f"{prog} COMMAND --help says more."])
+    return "\n".join([*lines, "", f"Run {prog} COMMAND --help for details."])
 
 
 def find(name: str) -> Callable[..., int]:
-    """The function of a command: ``main(argv, prog=...)``.
+    """Return the function of a command: ``main(argv, prog=...)``.
 
     Raises:
-        UnknownNameError: there is no such command; the message has the nearest.
-        MissingExtraError: the trainer needs packages that are not installed.
+        UnknownNameError: if there is no such command; the message suggests the closest match.
+        MissingExtraError: if the trainer needs packages that are not installed.
     """
     name = ALIASES.get(name, name)
     if name not in COMMANDS:
@@ -119,14 +119,14 @@ def find(name: str) -> Callable[..., int]:
 
 
 def trainer() -> ModuleType:
-    """The trainer as ``agym_jax.train``.
+    """Import the trainer as ``agym_jax.train``.
 
-    A wheel has it as a folder of the package. In a checkout it is the folder ``train`` beside the package, which
-    is loaded from there by its path: a ``train.py`` of the user's in the current folder is another module.
+    In a wheel it is a folder of the package. In a checkout it is the folder ``train`` beside the package, and is
+    loaded by its path, so that it cannot be confused with a ``train.py`` in the user's current folder.
 
     Raises:
-        MissingAssetError: it is not there.
-        MissingExtraError: it needs packages that are not installed.
+        MissingAssetError: if the trainer is missing.
+        MissingExtraError: if it needs packages that are not installed.
     """
     if TRAINER in sys.modules or importlib.util.find_spec(TRAINER):
         return importlib.import_module(TRAINER)
@@ -150,16 +150,16 @@ def trainer() -> ModuleType:
 
 
 def list_ids(argv: Sequence[str] | None = None, prog: str = "agym-jax list") -> int:
-    """Print every environment id; returns the exit status."""
+    """Print every environment id and return the exit status."""
     parser = argparse.ArgumentParser(prog=prog, description="Print the environment ids.")
-    parser.add_argument("part", nargs="?", default="", help="only those with this in their name")
+    parser.add_argument("part", nargs="?", default="", help="print only ids that contain this text")
     part = parser.parse_args(argv).part
     print("\n".join(name for name in agym_jax.list_envs() if part.lower() in name.lower()))
     return 0
 
 
 def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax observe") -> int:
-    """Print an environment's observation tables; returns the exit status."""
+    """Print an environment's observation tables and return the exit status."""
     recipe = _recipe(argv, prog, "Print an environment's observations.")
     if recipe is None:
         return 2
@@ -174,8 +174,8 @@ def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax o
 
 
 def show_settings(argv: Sequence[str] | None = None, prog: str = "agym-jax settings") -> int:
-    """Print what ``config`` and ``humans`` of ``agym_jax.make`` can change; returns the exit status."""
-    recipe = _recipe(argv, prog, "Print what can be changed of an id.")
+    """Print the settings that ``agym_jax.make`` can change and return the exit status."""
+    recipe = _recipe(argv, prog, "Print the settings of an environment that can be changed.")
     if recipe is None:
         return 2
     from agym_jax.changes import settings_table, settings_tables
@@ -186,7 +186,7 @@ def show_settings(argv: Sequence[str] | None = None, prog: str = "agym-jax setti
 
 
 def _recipe(argv: Sequence[str] | None, prog: str, description: str) -> Recipe | None:
-    """What the id among command-line words stands for; None if there is no such, which is said."""
+    """Parse the id in the command-line arguments; print an error and return None if there is no such id."""
     parser = argparse.ArgumentParser(prog=prog, description=description)
     parser.add_argument("id", help="environment id, such as ScratchItchJaco-v0")
     name = parser.parse_args(argv).id

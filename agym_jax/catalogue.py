@@ -1,4 +1,4 @@
-"""Named tasks or robots, each imported when it is first asked for."""
+"""Named tasks or robots, each imported when it is first accessed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 class Catalogue(MutableMapping[str, T], Generic[T]):
-    """A dictionary whose values are imported when they are first read; its names are known before.
+    """A dictionary whose values are imported when they are first read; its names are known without importing them.
 
     Args:
         places: name -> ``"package.module:ATTRIBUTE"``.

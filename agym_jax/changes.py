@@ -1,7 +1,7 @@
-"""What of an environment is other than its id says: weights, people, robot, length. Part of what the environment is.
+"""Settings of an environment that differ from the defaults of its id: weights, population, robot and episode length.
 
-``agym_jax.make`` makes a changed task of ``config`` and ``episode_length``; ``changes_of`` names what differs from the
-registered one. Checkpoints and policies carry it, so that those of different settings never mix.
+``agym_jax.make`` applies ``config`` and ``episode_length`` to the task; ``changes_of`` lists what differs from the
+registered task. Checkpoints and policies store these changes, so that those with different settings are never mixed up.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from agym_jax.tasks import TASKS
 from agym_jax.variation import RobotVariation
 
 Changes = dict[str, Any]
-"""Name, such as ``"task.scratch"`` or ``"humans.sizes"`` -> value that JSON can keep. Empty: as the id says."""
+"""Name, such as ``"task.scratch"`` or ``"humans.sizes"`` -> JSON-serialisable value. Empty if nothing was changed."""
 LENGTH = "episode_length"
 CIRCUMSTANCES = ("humans.", LENGTH)
-"""Beginnings of the names of changes that leave to a policy what its observations, actions and aims mean."""
+"""Prefixes of the names of changes that do not alter the meaning of a policy's observations, actions and goals."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One thing that can be changed."""
+    """One setting that can be changed."""
 
     name: str  # "scratch", "preferences.velocity"
     default: Any
@@ -41,18 +41,18 @@ class Setting:
 def change_task(
     task: Task, config: Mapping[str, Any] | Any = None, episode_length: int | None = None
 ) -> Task:
-    """A task with other weights, thresholds or length; the same task if nothing is other.
+    """Return a task with different weights, thresholds or length, or the same task if nothing changes.
 
     Args:
-        task: to be changed.
-        config: names of fields of ``task.config`` -> values, nested or with dots (``{"preferences": {"velocity": 0.5}}``,
-            ``{"preferences.velocity": 0.5}``); or a whole record of the same class; None for the task's own.
-        episode_length: control steps; None for the task's own.
+        task: the task to change.
+        config: field names of ``task.config`` -> values, nested or with dots (``{"preferences": {"velocity": 0.5}}``,
+            ``{"preferences.velocity": 0.5}``); or a complete record of the same class; None for the task's own.
+        episode_length: control steps per episode; None for the task's own.
 
     Raises:
-        UnknownNameError: the task has no such setting; the message has the nearest.
-        ArgumentError: a value is no finite number, or a length is no whole number of at least 1.
-        SpecError: the task refuses the value, or has no ``config``.
+        UnknownNameError: if the task has no such setting; the message suggests the closest match.
+        ArgumentError: if a value is not a finite number, or the length is not a whole number of at least 1.
+        SpecError: if the task rejects the value, or has no ``config``.
     """
     changed: dict[str, Any] = {}
     if config is not None:
@@ -64,12 +64,12 @@ def change_task(
 
 
 def changes_of(task: Task, humans: Population, robot: RobotVariation | None = None) -> Changes:
-    """What is other than in the environments of the registered task of this name.
+    """Return the settings that differ from those of the registered task of the same name.
 
     Args:
-        task: of the environment.
+        task: the environment's task.
         humans: its population.
-        robot: how its robots vary, if they do.
+        robot: its robot variation, if any.
     """
     usual = TASKS.get(task.name, task)
     found: Changes = {}
@@ -83,12 +83,12 @@ def changes_of(task: Task, humans: Population, robot: RobotVariation | None = No
 
 
 def describe(theirs: Changes, ours: Changes, whose: str = "there") -> str:
-    """What differs between two environments of the same id, in words; empty if nothing does.
+    """Describe the differences between two environments of the same id in words; empty if there are none.
 
     Args:
-        theirs: of the one.
-        ours: of the other, which is "here".
-        whose: what the first is called.
+        theirs: changes of the first environment.
+        ours: changes of the second environment, which is called "here".
+        whose: what the first environment is called.
     """
     told = lambda changes, name: repr(changes[name]) if name in changes else "the default"  # noqa: E731
     return "; ".join(
@@ -99,12 +99,12 @@ def describe(theirs: Changes, ours: Changes, whose: str = "there") -> str:
 
 
 def essential(changes: Changes) -> Changes:
-    """Those without ``CIRCUMSTANCES``: of robot, weights and thresholds."""
+    """Return the changes except ``CIRCUMSTANCES``: those of robot, weights and thresholds."""
     return {name: x for name, x in changes.items() if not name.startswith(CIRCUMSTANCES)}
 
 
 def flags_of(changes: Changes) -> str:
-    """The flags of the command lines that make these changes."""
+    """Return the command-line flags that make these changes."""
     words = []
     for name, value in changes.items():
         values = value if isinstance(value, list) else [value]
@@ -113,7 +113,7 @@ def flags_of(changes: Changes) -> str:
 
 
 def arguments_of(changes: Changes) -> dict[str, Any]:
-    """The arguments of ``agym_jax.make`` that make these changes."""
+    """Return the arguments of ``agym_jax.make`` that make these changes."""
     parts: dict[str, dict[str, Any]] = {}
     for name, value in changes.items():
         kind, _, field = name.partition(".")
@@ -130,7 +130,7 @@ def arguments_of(changes: Changes) -> dict[str, Any]:
 
 
 def settings_of(task: Task) -> list[Setting]:
-    """What ``config`` can change of a task: its numbers, with units and meanings from the docstrings of their records."""
+    """List the settings of a task that ``config`` can change, with units and meanings from the records' docstrings."""
     config = getattr(task, "config", None)
     found = list(_settings("", config)) if dataclasses.is_dataclass(config) else []
     return [
@@ -142,13 +142,13 @@ def settings_of(task: Task) -> list[Setting]:
 
 
 def _idle(task: Task, name: str) -> bool:
-    """Whether a setting is the weight of a preference that a task does not have."""
+    """Return whether a setting is the weight of a preference that the task does not use."""
     kind, _, term = name.partition(".")
     return bool(term) and f"{kind.removesuffix('s')}_{term}" not in task.reward_terms
 
 
 def settings_tables(task: Task) -> dict[str, list[Setting]]:
-    """All that can be changed of a task's environments, by the arguments of ``agym_jax.make`` and the flags that do."""
+    """List all settings of a task's environments, by the ``agym_jax.make`` argument and the flag that change them."""
     unit, meaning = "control steps", f"of {task.control.period:g} s that an episode has"
     return {
         "config={name: value}, --task.NAME": settings_of(task),
@@ -159,7 +159,7 @@ def settings_tables(task: Task) -> dict[str, list[Setting]]:
 
 
 def settings_table(settings: list[Setting]) -> str:
-    """Settings as a Markdown table."""
+    """Format settings as a Markdown table."""
     lines = ["| name | default | unit | meaning |", "|---|---|---|---|"]
     lines += [f"| `{x.name}` | `{x.default!r}` | {x.unit} | {x.meaning} |" for x in settings]
     return "\n".join(lines).replace("``", "`")
@@ -177,7 +177,7 @@ def _settings(prefix: str, record: Any) -> Iterator[Setting]:
 
 
 def _documented(record: type) -> dict[str, tuple[str, str]]:
-    """Unit and meaning of the fields of a record, by its docstring's ``Attributes:``, as ``name: meaning [unit]``."""
+    """Read unit and meaning of a record's fields from its docstring's ``Attributes:``, written ``name: meaning [unit]``."""
     _, _, section = inspect.cleandoc(record.__doc__ or "").partition("Attributes:\n")
     entries = re.findall(r"^    (\w+): (.*(?:\n     +.*)*)", section, re.M)
     found = {}
@@ -198,7 +198,7 @@ def _config_of(task: Task) -> Any:
 
 
 def _changed_record(task: Task, prefix: str, record: Any, asked: Any) -> Any:
-    """A record with some fields changed."""
+    """Return a record with some fields changed."""
     if isinstance(asked, type(record)):
         return asked
     if not isinstance(asked, Mapping):
@@ -226,7 +226,7 @@ def _changed_record(task: Task, prefix: str, record: Any, asked: Any) -> Any:
 
 
 def _number(what: str, value: Any, default: Any) -> Any:
-    """A value for a field with this default."""
+    """Check and convert a value for a field with this default."""
     if isinstance(default, bool) or not isinstance(default, (int, float)):
         if type(value) is not type(default):
             raise ArgumentError(
@@ -244,7 +244,7 @@ def _number(what: str, value: Any, default: Any) -> Any:
 
 
 def _differences(prefix: str, record: Any, usual: Any) -> Changes:
-    """Fields that differ, by their names with dots."""
+    """Return the fields that differ, by their dotted names."""
     found: Changes = {}
     for field in dataclasses.fields(record):
         value, other = getattr(record, field.name), getattr(usual, field.name, None)

@@ -1,8 +1,8 @@
-"""The environment: control -> physics -> sense -> task -> observe, in that order, once.
+"""The environment: each step runs control -> physics -> sense -> task -> observe, in that order, once.
 
-One class for every task, robot and person. ``reset`` and ``step`` are pure and written for one environment;
-``jax.vmap`` them, or let ``agym_jax.wrappers.vectorize`` do it with auto-reset. The physics is one of
-those in ``sim.physics``; where JAX cannot trace it, ``sim.native_rows`` runs the stages around it.
+One class serves every task, robot and person. ``reset`` and ``step`` are pure functions of a single environment:
+``jax.vmap`` them, or use ``agym_jax.wrappers.vectorize``, which also resets automatically. The physics is one of
+the implementations in ``sim.physics``; where JAX cannot trace it, ``sim.native_rows`` runs the stages around it.
 
 DEVIATION(action-penalty): actions are clipped to [-1, 1] before they are penalised (AG penalises the
 raw action).
@@ -50,24 +50,26 @@ from agym_jax.state import Episode, State, limited_by_brax, raw_key, select, str
 from agym_jax.variation import RobotVariation, checked_variation, sample_robot, sensed_by
 
 MAX_SPEED = 1e3
-"""Of a joint [rad/s]: a simulation in which one is faster has exploded, and counts as NaN. Bullet stops at 100."""
+"""Largest joint speed [rad/s]: a simulation with a faster joint has diverged and is treated as NaN. Bullet's limit is 100."""
 
 
 class AssistiveEnv:
-    """A robot helps a person; see the module's docstring.
+    """An environment in which a robot assists a person.
+
+    ``reset`` and ``step`` are pure functions of a single environment; see the module's docstring.
 
     Args:
-        task: what to do.
-        robot: who helps.
+        task: the task.
+        robot: the robot that assists.
         active: whether the person acts too (AG's ``...Human-v0``).
-        impl: ``"jax"``, ``"warp"``, or ``"auto"``: Warp on an NVIDIA GPU with warp-lang, else JAX;
-            ``"native"`` is C MuJoCo, on a CPU.
-        humans: population that episodes draw from.
-        num_envs: how many environments will be stepped together: sizes Warp's buffers.
-        variation: how robots differ from episode to episode; None if they do not.
+        impl: ``"jax"``, ``"warp"``, ``"auto"`` (Warp on an NVIDIA GPU with warp-lang installed, otherwise JAX), or
+            ``"native"`` (C MuJoCo on the CPU).
+        humans: population from which each episode draws its person.
+        num_envs: number of environments that will be stepped together; determines the size of Warp's buffers.
+        variation: how the robot varies from episode to episode; None if it does not.
 
     Attributes:
-        changes: what is other than the id says, see ``agym_jax.changes``.
+        changes: settings that differ from the id's defaults, see ``agym_jax.changes``.
     """
 
     def __init__(
@@ -101,13 +103,13 @@ class AssistiveEnv:
 
     @property
     def action_sizes(self) -> dict[str, int]:
-        """Entries of the action that belong to each agent, in order."""
+        """Number of action entries of each agent, in order."""
         sizes = {"robot": len(self.scene.index.robot_joint)}
         return {**sizes, "human": len(self.scene.moving)} if self.active else sizes
 
     @property
     def observation_sizes(self) -> dict[str, int]:
-        """Columns of the observation that belong to each agent, in order."""
+        """Number of observation columns of each agent, in order."""
         sizes = {"robot": observe.size(self.task.robot_obs)}
         return {**sizes, "human": observe.size(self.task.human_obs)} if self.active else sizes
 
@@ -123,12 +125,12 @@ class AssistiveEnv:
 
     @property
     def privileged_obs_size(self) -> int:
-        """Entries of ``State.privileged_obs``; 0 where there are none."""
+        """Length of ``State.privileged_obs``; 0 if the task has none."""
         return self.task.privileged_obs_size if isinstance(self.task, Privileged) else 0
 
     @property
     def layout_version(self) -> str:
-        """Hash of the observation's names and sizes."""
+        """Hash of the names and sizes of the observation's columns."""
         records = [self.task.robot_obs, *([self.task.human_obs] if self.active else [])]
         return observe.layout_version(*records)
 
@@ -139,15 +141,15 @@ class AssistiveEnv:
 
     @property
     def unwrapped(self) -> AssistiveEnv:
-        """Brax's name for the environment inside of all wrappers."""
+        """Brax's name for the environment without its wrappers."""
         return self
 
     @property
     def sys(self) -> Any:
-        """Brax's name for a model that all environments share, which there is not.
+        """Brax's name for a model shared by all environments, which does not exist here.
 
         Raises:
-            WrapperError: always; ``hasattr(env, "sys")`` is false.
+            WrapperError: always, so that ``hasattr(env, "sys")`` is false.
         """
         raise WrapperError(
             f"{self.name} has no sys: every human has a model of their own, in state.episode. Instead of Brax's "
@@ -161,7 +163,7 @@ class AssistiveEnv:
         return self.task.control.period
 
     def sized_for(self, num_envs: int) -> AssistiveEnv:
-        """The same environment with Warp's buffers for so many environments at once."""
+        """Return the same environment with Warp buffers sized for ``num_envs`` environments."""
         sized = copy.copy(self)
         sized.num_envs, sized.physics = num_envs, self.physics.sized_for(num_envs)
         return sized
@@ -170,7 +172,7 @@ class AssistiveEnv:
 
     @full_precision
     def reset(self, rng: Array) -> State:
-        """A new person, a new goal, the robot at a new start.
+        """Begin an episode with a new person, goal and robot start pose.
 
         Args:
             rng: PRNG key, typed or raw.
@@ -183,10 +185,10 @@ class AssistiveEnv:
 
     @full_precision
     def reset_where(self, state: State, where: Array) -> State:
-        """Begin a new episode if ``where``; cheap, and safe for all implementations.
+        """Begin a new episode if ``where`` is true; cheap, and safe with every physics implementation.
 
         Args:
-            state: of a finished (or any) episode; its key is used up.
+            state: state of a finished (or any) episode; its key is consumed.
             where: boolean ().
         """
         if self.native_rows:
@@ -197,15 +199,15 @@ class AssistiveEnv:
 
     @full_precision
     def step(self, state: State, action: Array) -> State:
-        """One control step of 0.1 s.
+        """Advance the environment by one control step of 0.1 s.
 
         Args:
-            state: of one environment.
-            action: in [-1, 1], clipped: robot's joints, then the active person's (n_action,).
+            state: state of one environment.
+            action: clipped to [-1, 1]; the robot's joints, then those of the person if active (n_action,).
 
         Raises:
-            ActionError: the shape is wrong, or (outside of jit) entries are not finite.
-            ArgumentError: the state is of a batch.
+            ActionError: if the shape is wrong, or (outside jit) an entry is not finite.
+            ArgumentError: if the state is that of a batch.
         """
         action = checked_action(action, self.action_sizes, self.name)
         check_single(state, self.name)
@@ -229,7 +231,7 @@ class AssistiveEnv:
     def _control_targets(
         self, episode: Episode, data: Any, task: Any, action: Array
     ) -> ControlTargets:
-        """What one control step asks of the joints."""
+        """Joint targets of one control step."""
         load = self.task.load(task) if isinstance(self.task, Loaded) else None
         return self.controller.targets(episode, data, action, load)
 
@@ -243,7 +245,7 @@ class AssistiveEnv:
         episode: Episode,
         targets: ControlTargets,
     ) -> tuple[dict[str, Any], Array]:
-        """Sense -> task -> observe, and the guard against NaN: fields of ``State``, and steps done ()."""
+        """Sense -> task -> observe, with the NaN guard: the fields of ``State``, and the number of steps taken ()."""
         # sense
         sensed = self._sense(data, contacts, motion, episode)
         quats = nearest_sign(quats_of(sensed), quats_before)
@@ -280,7 +282,7 @@ class AssistiveEnv:
         return strong((after, step))
 
     def jit_functions(self) -> tuple[Callable[[Array], State], Callable[[State, Array], State]]:
-        """``reset`` and ``step`` of one environment, compiled as far as the physics allows."""
+        """Return ``reset`` and ``step`` of one environment, compiled as far as the physics allows."""
         if self.native_rows:
             return self.reset, self.step
         return jax.jit(self.reset), jax.jit(self.step)
@@ -290,7 +292,7 @@ class AssistiveEnv:
     def _begin(
         self, data: Any, rng: Array, where: Array | None = None, old: State | None = None
     ) -> State:
-        """Write a new episode into ``data``; with ``where`` and ``old``, only where it holds."""
+        """Write a new episode into ``data``; with ``where`` and ``old``, only where ``where`` is true."""
         sample, key_task, key = self._sample_episode(rng)
         episode = strong(make_episode(self.scene, self.task.human, sample))
         if where is not None and old is not None:
@@ -308,7 +310,7 @@ class AssistiveEnv:
         )  # fmt: skip
 
     def _sample_episode(self, rng: Array) -> tuple[EpisodeSample, Array, Array]:
-        """What makes an episode, and the keys of the task and of what comes after."""
+        """Draw an episode; also return the keys of the task and of later episodes."""
         *keys, key_task, key = jax.random.split(rng, 5)
         robot = sample_robot(rng, self.variation)
         sample = sample_episode(keys, self.scene, self.task.human, self.humans, self._bank, robot)
@@ -317,7 +319,7 @@ class AssistiveEnv:
     def _begin_task(
         self, key: Array, data: Any, episode: Episode
     ) -> tuple[dict[str, Any], dict[str, Array]]:
-        """How the task begins: fields of ``State``, and what it measures already, see ``metrics.progress_of``."""
+        """Start the task: return fields of ``State``, and its measures at the start, see ``metrics.progress_of``."""
         index = self.scene.index
         motion = motion_at_rest(index, data, self.task.control.frame_skip)
         sensed = self._sense(data, no_contacts(index), motion, episode)
@@ -332,7 +334,7 @@ class AssistiveEnv:
 
     @property
     def metric_names(self) -> tuple[str, ...]:
-        """Names of ``State.metrics``, in order."""
+        """Names of the entries of ``State.metrics``, in order."""
         return metric_names(self.task)
 
     def _check_terms(self, rewards: dict[str, Array]) -> None:
@@ -349,7 +351,7 @@ class AssistiveEnv:
     def _observe(
         self, task: Any, sensed: Sensed, episode: Episode, step: Array
     ) -> tuple[Array, Array | None]:
-        """The observation (n_obs,), and what nobody observes, if there is any (n_privileged,)."""
+        """Return the observation (n_obs,), and the privileged observation if the task has one (n_privileged,)."""
         robot, human = self.task.observe(task, sensed)
         seen = [sensed_by(episode.robot, type(robot), observe.flatten(robot), step)]
         obs = jnp.concatenate([*seen, observe.flatten(human)] if self.active else seen)
@@ -361,17 +363,17 @@ class AssistiveEnv:
     def to_mujoco(
         self, state: State, visuals: str = "primitives"
     ) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """One environment as C MuJoCo's model and data, with everything that people look at.
+        """Return one environment as a C MuJoCo model and data, with all visual geometry.
 
         Args:
-            state: of one environment (index a batch first, with ``jax.tree.map(lambda x: x[i], state)``).
-            visuals: what the robot looks like: ``"primitives"``, or ``"meshes"`` of other packages, see
+            state: state of one environment (index a batch first, with ``jax.tree.map(lambda x: x[i], state)``).
+            visuals: appearance of the robot: ``"primitives"``, or ``"meshes"`` from other packages, see
                 ``agym_jax.rendering.meshes``.
 
         Raises:
-            UnknownNameError: there are no such visuals.
-            MissingExtraError: the meshes' package is not installed: ``pip install "agym_jax[meshes]"``.
-            MeshError: this robot has no meshes, or they do not fit it.
+            UnknownNameError: if there are no such visuals.
+            MissingExtraError: if the meshes' package is not installed: ``pip install "agym_jax[meshes]"``.
+            MeshError: if this robot has no meshes, or they do not fit it.
         """
         model = picture_model(self.task, self.robot, self.active, state, visuals)
         data = mujoco.MjData(model)
@@ -379,11 +381,11 @@ class AssistiveEnv:
         return model, data
 
     def write_mujoco(self, state: State, data: mujoco.MjData, model: mujoco.MjModel) -> None:
-        """Write the pose of one environment into C MuJoCo's data of ``to_mujoco``'s model."""
+        """Write the pose of one environment into C MuJoCo data for the model from ``to_mujoco``."""
         write_pose(self.task, state, data, model)
 
     def markers(self, state: State) -> list[Marker]:
-        """What the task draws into pictures of one environment."""
+        """Return the markers that the task draws in pictures of one environment."""
         return markers_of(self.task, state)
 
 

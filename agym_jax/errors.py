@@ -1,4 +1,4 @@
-"""Errors that say what was asked, what exists, the nearest match, and what to do next."""
+"""Errors whose messages state what was requested, what exists, the closest match, and what to do next."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 
 
 def did_you_mean(name: Any, options: Iterable[str]) -> str:
-    """A sentence with the nearest of ``options``, and all of them if they are few.
+    """Return a sentence that suggests the closest of ``options``, and lists them all if there are few.
 
     Args:
-        name: what was asked for.
-        options: what exists.
+        name: the requested name.
+        options: the names that exist.
     """
     known = sorted(set(options))
     if not known:
@@ -29,16 +29,16 @@ def did_you_mean(name: Any, options: Iterable[str]) -> str:
 
 
 def _words(name: str) -> tuple[str, ...]:
-    """The words that a name is written of, in no order: those of JacoScratchItch are those of ScratchItchJaco."""
+    """Split a name into its words, regardless of order: JacoScratchItch has the same words as ScratchItchJaco."""
     return tuple(sorted(re.findall(r"[A-Z]+[a-z0-9]*|[a-z0-9]+", name)))
 
 
 class AgymError(Exception):
-    """Base of every error that agym_jax raises on purpose."""
+    """Base class of every error that agym_jax raises deliberately."""
 
 
 class UnknownNameError(AgymError, KeyError):
-    """A name that does not exist: an environment, robot, joint, site or task."""
+    """A name that does not exist, such as that of an environment, robot, joint, site or task."""
 
     def __init__(self, kind: str, name: Any, options: Iterable[str], advice: str = ""):
         self.kind, self.name = kind, name
@@ -49,32 +49,32 @@ class UnknownNameError(AgymError, KeyError):
 
 
 class MissingAssetError(AgymError, FileNotFoundError):
-    """A packaged file that is not there."""
+    """A packaged file that is missing."""
 
 
 class MissingExtraError(AgymError, ImportError):
-    """An optional Python package that this needs is not installed."""
+    """A required optional Python package is not installed."""
 
 
 class MeshError(AgymError, RuntimeError):
-    """Meshes that a robot does not have, that cannot be read, or that do not fit it."""
+    """A robot's meshes do not exist, cannot be read, or do not fit the robot."""
 
 
 class ArgumentError(AgymError, ValueError):
-    """An argument of the wrong kind, or out of range."""
+    """An argument of the wrong type, or out of range."""
 
 
 def checked_count(name: str, value: Any, at_least: int = 1, advice: str = "") -> int:
-    """A whole number.
+    """Check that an argument is a whole number and return it.
 
     Args:
-        name: of the argument.
-        value: of the argument.
-        at_least: the smallest that makes sense.
-        advice: what to do, for the error.
+        name: name of the argument.
+        value: value of the argument.
+        at_least: smallest valid value.
+        advice: what to do instead, for the error message.
 
     Raises:
-        ArgumentError: it is no whole number, or too small.
+        ArgumentError: if it is not a whole number, or is too small.
     """
     try:
         count = None if isinstance(value, bool) else operator.index(value)
@@ -100,35 +100,35 @@ class BufferOverflowError(AgymError, RuntimeError):
 
 
 class WrapperError(AgymError, AttributeError):
-    """A wrapper of Brax around what it cannot wrap, or one that asks for what there is not."""
+    """A Brax wrapper around an environment it cannot wrap, or one that requires something the environment lacks."""
 
 
 class SpecError(AgymError, ValueError):
-    """A robot, tool, seat or task whose description does not fit together."""
+    """An inconsistent description of a robot, tool, seat or task."""
 
 
 class DamagedFileError(AgymError, ValueError):
-    """A file whose content does not match its checksum, or that is not one of this project."""
+    """A file whose content does not match its checksum, or that does not belong to this project."""
 
 
 class SaveFolderError(AgymError, OSError):
-    """A folder that results cannot be written to."""
+    """A folder to which results cannot be written."""
 
 
 class MissingPlacementError(AgymError, FileNotFoundError):
-    """A task-robot pair without a bank of start poses."""
+    """A pair of task and robot without a bank of start poses."""
 
 
 class MissingPostureError(AgymError, FileNotFoundError):
-    """A task on the bed without its bank of people who lie there, or with a damaged one."""
+    """A bed task whose bank of lying postures is missing or damaged."""
 
 
 class MissingFillError(AgymError, FileNotFoundError):
-    """A vessel without its bank of settled particles, or with a damaged one."""
+    """A vessel whose bank of settled particles is missing or damaged."""
 
 
 class PolicyNotFoundError(AgymError, FileNotFoundError):
-    """No policy file where one was asked for."""
+    """A requested policy file does not exist."""
 
 
 class PolicyDamagedError(DamagedFileError):
@@ -136,8 +136,8 @@ class PolicyDamagedError(DamagedFileError):
 
 
 class PolicyEnvironmentError(AgymError, ValueError):
-    """A policy that was trained in another environment."""
+    """A policy that was trained in a different environment."""
 
 
 class PolicyLayoutError(AgymError, ValueError):
-    """A policy that reads another observation layout or has other sizes."""
+    """A policy that expects a different observation layout or different sizes."""

@@ -1,7 +1,8 @@
-"""What the command lines have in common: counts, and the flags that say what environment is made.
+"""Code shared by the command lines: counts, and the flags that describe the environment.
 
-``--task.scratch 3 --humans.sizes continuous --robot.latency 0 2 --episode-length 100`` are the arguments ``config``,
-``humans``, ``robot`` and ``episode_length`` of ``agym_jax.make``. Which ``--task`` flags there are depends on ``--env-name``.
+``--task.scratch 3 --humans.sizes continuous --robot.latency 0 2 --episode-length 100`` correspond to the arguments
+``config``, ``humans``, ``robot`` and ``episode_length`` of ``agym_jax.make``. The available ``--task`` flags depend on
+``--env-name``.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ except ImportError as error:
 
 
 def parse_count(text: str) -> int:
-    """A whole number that may be written ``20000``, ``20_000`` or ``2e4``.
+    """Parse a whole number, which may be written ``20000``, ``20_000`` or ``2e4``.
 
     Raises:
-        ValueError: it is not a whole number, or negative.
+        ValueError: if it is not a whole number, or is negative.
     """
     try:
         value = float(text.replace("_", ""))
@@ -53,21 +54,21 @@ Count = Annotated[int, _COUNT]
 
 @dataclass(frozen=True, kw_only=True)
 class EnvFlags:
-    """What environment is made; the base of the settings of every command that makes one."""
+    """Flags that describe the environment; base class for the settings of every command that makes one."""
 
     env_name: str = "ScratchItchJaco-v0"
     """Environment id."""
     episode_length: Count = 0
-    """Control steps of an episode; 0 = the task's own."""
+    """Control steps per episode; 0 = the task's default."""
     humans: Population = Population()  # noqa: RUF009 (it is frozen)
-    """The people whom episodes draw from."""
+    """The population from which each episode draws its person."""
     robot: RobotVariation = RobotVariation()  # noqa: RUF009 (it is frozen)
-    """How robots differ from episode to episode."""
+    """Variation of the robot between episodes."""
     task: Any = None
-    """Weights and thresholds of the task; agym-jax settings ID prints them."""
+    """Weights and thresholds of the task; agym-jax settings ID lists them."""
 
     def options(self) -> dict[str, Any]:
-        """The arguments of ``agym_jax.make`` besides id and physics, as far as they are not its defaults."""
+        """Return the arguments of ``agym_jax.make`` that differ from its defaults, except the id and the physics."""
         found: dict[str, Any] = {}
         if self.humans != Population():
             found["humans"] = self.humans
@@ -82,26 +83,27 @@ class EnvFlags:
 
 @dataclass(frozen=True)
 class PolicyFlags(EnvFlags):
-    """What environment is made and who acts in it; the base of the settings of every command that plays or measures."""
+    """Flags that describe the environment and its policies; base class for commands that play or evaluate policies."""
 
     load_dir: str | None = None
-    """--save-dir of a training run, whose policy is meant; without it and --policy, the one shipped with agym_jax."""
+    """--save-dir of the training run whose policy to use; if neither this nor --policy is given, the policy shipped with
+    agym_jax is used."""
     policy: str | None = None
-    """A policy file, or "zero" or "random"; the robot's, where there is one for each agent."""
+    """Policy file, "zero" or "random"; the robot's policy if each agent has its own."""
     human_policy: str | None = None
-    """The same for a person who acts; without it, the one that lies beside the robot's."""
+    """The same for an active person; defaults to the policy stored beside the robot's."""
     non_det: bool = False
-    """Sample actions instead of taking the mode."""
+    """Sample actions instead of using the mode of the policy's distribution."""
     any_env: bool = False
-    """Accept a policy of another environment with the same observation layout, or of other settings of this one.
-    Other people and episode lengths need no flag."""
+    """Accept a policy trained in another environment with the same observation layout, or with different settings of this
+    one. A different population or episode length does not need this flag."""
 
 
 Flags = TypeVar("Flags", bound=EnvFlags)
 
 
 def task_config(env_name: str) -> Any:
-    """The settings of an environment's task; None where there are none, or no such environment."""
+    """Return the settings of an environment's task; None if it has none, or there is no such environment."""
     try:
         config = getattr(parse(env_name).task, "config", None)
     except UnknownNameError:
@@ -112,13 +114,13 @@ def task_config(env_name: str) -> Any:
 def parse_flags(
     kind: type[Flags], arguments: Sequence[str] | None, prog: str, description: str | None = None
 ) -> Flags:
-    """Settings from command-line words, with the flags of the task that they name.
+    """Parse settings from command-line arguments, including the flags of the task that they name.
 
     Args:
-        kind: of the settings; all of its fields have defaults.
-        arguments: words; None: those of this process.
-        prog: what was typed to start it, for the help.
-        description: for the help.
+        kind: class of the settings; all of its fields have defaults.
+        arguments: command-line arguments; None for those of this process.
+        prog: program name shown in the help.
+        description: description shown in the help.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     usual = kind()
@@ -127,7 +129,7 @@ def parse_flags(
 
 
 def made_of(env: Any) -> dict[str, Any]:
-    """The fields of ``EnvFlags`` that say what an environment is; of one that is not ours, its name only."""
+    """Return the fields of ``EnvFlags`` that describe an environment; for one from another package, only its name."""
     found: dict[str, Any] = {"env_name": env.name}
     if hasattr(env, "changes"):
         found |= {"humans": env.humans, "episode_length": env.episode_length}
@@ -137,7 +139,7 @@ def made_of(env: Any) -> dict[str, Any]:
 
 
 def env_name_in(arguments: Sequence[str], default: str) -> str:
-    """The value of ``--env-name`` among command-line words, or the default environment."""
+    """Return the value of ``--env-name`` among command-line arguments, or the default environment."""
     name = default
     for i, word in enumerate(arguments):
         flag, equals, value = word.partition("=")

@@ -1,4 +1,4 @@
-"""What every environment measures in a control step, besides the terms of the reward and the task's own measures."""
+"""Metrics that every environment reports for a control step, besides the reward terms and the task's own measures."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ METRICS = (
     "force/on_human", "force/tool_on_human", "force/robot_on_human", "force/tool",
     "force/peak_on_human", "force/of_comfort", "force/of_limit", "nan", "overflow",
 )  # fmt: skip
-"""Names. Forces are means over a control step [N]; ``peak_on_human`` is the largest on one region of the body in a
-physics step [N], ``of_comfort`` and ``of_limit`` are the shares of limits of ``human.regions`` that are reached, above 1
-where one is exceeded."""
+"""Names of the metrics. Forces are means over a control step [N]; ``peak_on_human`` is the largest force on one region of
+the body in a physics step [N]; ``of_comfort`` and ``of_limit`` are forces as fractions of the limits in ``human.regions``,
+above 1 if a limit is exceeded."""
 
 
 def metrics_of(
@@ -29,14 +29,14 @@ def metrics_of(
     bad: Array,
     overflow: Array,
 ) -> dict[str, Array]:
-    """Terms of the reward as ``reward/<name>``, then ``METRICS``, then ``progress``.
+    """Return the reward terms as ``reward/<name>``, then ``METRICS``, then ``progress``.
 
     Args:
-        rewards: terms of this step.
-        sensed: at its end.
-        comfort: limits of the task, see ``human.regions.comfort_limits`` [N].
-        progress: from ``progress_of``.
-        bad: whether something is not finite; what is measured is then 0 ().
+        rewards: reward terms of this step.
+        sensed: sensed data at the end of the step.
+        comfort: comfort limits of the task, see ``human.regions.comfort_limits`` [N].
+        progress: result of ``progress_of``.
+        bad: whether a value is not finite; measured values are then reported as 0 ().
         overflow: whether contacts were lost ().
     """
     clean = lambda x: jnp.where(bad, 0.0, x).astype(jnp.float32)  # noqa: E731
@@ -57,7 +57,7 @@ def metrics_of(
 
 
 def progress_of(task: Task, state: Any) -> dict[str, Array]:
-    """``success``, and the task's measures as ``task/<name>``, each float32 ()."""
+    """Return ``success``, and the task's measures as ``task/<name>``, each float32 ()."""
     found = {"success": task.success(state)}
     if isinstance(task, Measured):
         found |= {f"{TASK_PREFIX}{name}": value for name, value in task.measure(state).items()}
@@ -65,7 +65,7 @@ def progress_of(task: Task, state: Any) -> dict[str, Array]:
 
 
 def metric_names(task: Task) -> tuple[str, ...]:
-    """Names of ``State.metrics``, in order."""
+    """Return the names of the entries of ``State.metrics``, in order."""
     measures = task.measures if isinstance(task, Measured) else ()
     return (
         *(f"reward/{term}" for term in task.reward_terms),

@@ -1,7 +1,7 @@
 """Observation records and their flat vectors: the only place where fields become columns.
 
-A record is a frozen dataclass whose fields carry size, unit and frame, and which says where in
-Assistive Gym they come from. Columns that several records have in common are a record of their own:
+A record is a frozen dataclass whose fields declare size, unit and frame, and which states where in Assistive Gym
+they come from. Columns shared by several records form a record of their own:
 
     @observation(source="scratch_itch.py:74")
     class RobotObs:
@@ -26,7 +26,7 @@ _SOURCE = "__observation_source__"
 
 @dataclass(frozen=True)
 class Column:
-    """What one field of an observation is."""
+    """Description of one field of an observation."""
 
     size: int
     unit: str
@@ -35,25 +35,25 @@ class Column:
 
 
 def column(size: int, unit: str, frame: str, source: str = "") -> Any:
-    """Declare a field of an observation record; without a source of its own it has the record's."""
+    """Declare a field of an observation record; its source defaults to the record's."""
     return dataclasses.field(metadata={"column": Column(size, unit, frame, source)})
 
 
 def part(record: type) -> Any:
-    """Declare a field that is a record itself: its columns, under their own names, stand here."""
+    """Declare a field that is itself a record: its columns are inserted here under their own names."""
     return dataclasses.field(metadata={"part": record})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(column, part))
 def observation(cls: type | None = None, /, *, source: str = "") -> Any:
-    """Make a class of ``column`` and ``part`` fields a frozen record and a pytree.
+    """Turn a class of ``column`` and ``part`` fields into a frozen record and a pytree.
 
     Args:
-        cls: the class, where the decorator has no arguments.
-        source: where its columns come from, unless they say so themselves.
+        cls: the class, if the decorator is used without arguments.
+        source: source of those columns that do not specify their own.
 
     Raises:
-        SpecError: a field is neither, or two columns have the same name.
+        SpecError: if a field is neither a column nor a part, or two columns have the same name.
     """
 
     def decorate(cls: type) -> type:
@@ -66,7 +66,7 @@ def observation(cls: type | None = None, /, *, source: str = "") -> Any:
 
 
 def _check_names(record: type) -> None:
-    """Raise SpecError unless the fields are columns and parts, without a name that stands twice."""
+    """Raise SpecError unless all fields are columns or parts and no name occurs twice."""
     names: list[str] = []
     for f in fields(record):
         if "column" in f.metadata:
@@ -84,11 +84,11 @@ def _check_names(record: type) -> None:
 
 
 def columns(record: type, source: str = "") -> dict[str, Column]:
-    """Name -> column, in order; those of a part stand in its place.
+    """Map names to columns, in order; the columns of a part take its place.
 
     Args:
         record: an ``observation``.
-        source: of columns that have none, where the record has none either.
+        source: source of columns for which neither they nor the record specify one.
     """
     source = getattr(record, _SOURCE) or source
     found: dict[str, Column] = {}
@@ -102,10 +102,10 @@ def columns(record: type, source: str = "") -> dict[str, Column]:
 
 
 def values(obs: Any) -> dict[str, Any]:
-    """Name -> value, in the order of ``columns``.
+    """Map names to values, in the order of ``columns``.
 
     Raises:
-        SpecError: a part is filled with something else.
+        SpecError: if the value of a part is not the declared record.
     """
     found: dict[str, Any] = {}
     for f in fields(obs):
@@ -123,12 +123,12 @@ def values(obs: Any) -> dict[str, Any]:
 
 
 def size(record: type) -> int:
-    """Length of the flat vector."""
+    """Return the length of the flat vector."""
     return sum(c.size for c in columns(record).values())
 
 
 def layout(record: type) -> dict[str, slice]:
-    """Name -> slice of the flat vector."""
+    """Map names to slices of the flat vector."""
     slices, start = {}, 0
     for name, c in columns(record).items():
         slices[name] = slice(start, start + c.size)
@@ -137,10 +137,10 @@ def layout(record: type) -> dict[str, slice]:
 
 
 def flatten(obs: Any) -> jax.Array:
-    """Record -> flat vector (size,).
+    """Flatten a record into a vector (size,).
 
     Raises:
-        SpecError: a field does not have its declared size, or is not the declared part.
+        SpecError: if a field does not have its declared size, or is not the declared part.
     """
     flat, given = [], values(obs)
     for name, c in columns(type(obs)).items():
@@ -154,11 +154,11 @@ def flatten(obs: Any) -> jax.Array:
 
 
 def layout_version(*records: type, former: bool = False) -> str:
-    """Short hash of names and sizes: policies of another layout do not fit.
+    """Return a short hash of names and sizes, by which policies for another layout are recognised.
 
     Args:
-        *records: the observation's, in order.
-        former: as it was when columns said "person" that now say "human"; policies from then still fit.
+        *records: records of the observation, in order.
+        former: hash the former column names, which said "person" instead of "human"; policies from that time still fit.
     """
     rename = (lambda name: name.replace("human", "person")) if former else str
     text = repr(
@@ -168,7 +168,7 @@ def layout_version(*records: type, former: bool = False) -> str:
 
 
 def table(record: type) -> str:
-    """The record as a Markdown table: columns, name, unit, frame, source."""
+    """Format a record as a Markdown table: columns, name, unit, frame, source."""
     lines = ["| columns | field | unit | frame | Assistive Gym v0.1 |", "|---|---|---|---|---|"]
     for name, where in layout(record).items():
         c = columns(record)[name]

@@ -1,7 +1,7 @@
-"""The human-preference terms that every task shares.
+"""The human-preference terms that all tasks share.
 
-Assistive Gym v0.1 ``env.py`` human_preferences (reference humans.md section 9): people like slow
-hands, no touch where no help is needed, and no hard touch where it is.
+Assistive Gym v0.1 ``env.py`` human_preferences (reference humans.md section 9): people prefer slow hand motion, no
+contact where no help is needed, and only light contact where it is.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from agym_jax.spec import Preferences
 PREFERENCE_TERMS = (
     "preference_velocity", "preference_force_nontarget", "preference_high_forces",
 )  # fmt: skip
-"""Names of ``preference_terms``."""
+"""Names of the terms of ``preference_terms``."""
 MEAL_TERMS = ("preference_food_hit", "preference_food_velocities")
-"""Names of ``meal_terms``."""
+"""Names of the terms of ``meal_terms``."""
 DRESSING_TERMS = ("preference_velocity", "preference_dressing_force")
-"""Names of ``dressing_terms``."""
+"""Names of the terms of ``dressing_terms``."""
 
 
 def preference_terms(
@@ -27,13 +27,13 @@ def preference_terms(
     force_on_human: jax.Array,
     force_at_target: jax.Array,
 ) -> dict[str, jax.Array]:
-    """Weighted preference terms, each at most 0.
+    """Compute the weighted preference terms, each at most 0.
 
     Args:
-        weights: of the terms.
-        tool_speed: of the tool or end effector [m/s] ().
-        force_on_human: of tool and robot together [N] ().
-        force_at_target: of the tool where help is wanted [N] ().
+        weights: weights of the terms.
+        tool_speed: speed of the tool or end effector [m/s] ().
+        force_on_human: total force of tool and robot on the person [N] ().
+        force_at_target: force of the tool where help is needed [N] ().
     """
     high = jnp.where(force_at_target < 10.0, 0.0, force_at_target)
     return {
@@ -44,12 +44,12 @@ def preference_terms(
 
 
 def meal_terms(weights: Preferences, hits: jax.Array, speed: jax.Array) -> dict[str, jax.Array]:
-    """Weighted preference terms of meals, each at most 0.
+    """Compute the weighted preference terms of the meal tasks, each at most 0.
 
     Args:
-        weights: of the terms.
-        hits: particles that newly hit the person in this step ().
-        speed: sum over the particles that the mouth took in this step [m/s] ().
+        weights: weights of the terms.
+        hits: number of particles that hit the person for the first time in this step ().
+        speed: summed speed of the particles that entered the mouth in this step [m/s] ().
     """
     return {
         "preference_food_hit": -weights.food_hit * hits,
@@ -60,12 +60,12 @@ def meal_terms(weights: Preferences, hits: jax.Array, speed: jax.Array) -> dict[
 def dressing_terms(
     weights: Preferences, hand_speed: jax.Array, cloth_force: jax.Array
 ) -> dict[str, jax.Array]:
-    """Weighted preference terms of dressing, each at most 0. AG dressing.py passes no other force.
+    """Compute the weighted preference terms of dressing, each at most 0. AG dressing.py passes no other force.
 
     Args:
-        weights: of the terms.
-        hand_speed: of the end effector [m/s] ().
-        cloth_force: sum over the garment's contacts with the person [N] ().
+        weights: weights of the terms.
+        hand_speed: speed of the end effector [m/s] ().
+        cloth_force: sum of the forces of the garment's contacts with the person [N] ().
     """
     return {
         "preference_velocity": -weights.velocity * hand_speed,

@@ -1,7 +1,7 @@
-"""Environment ids: the product of tasks, robots and people, and what users add to it.
+"""Environment ids: every combination of task, robot and person, including those that users register.
 
-``my_module:WavingJaco-v0`` imports ``my_module``, which registers what it has, and then means
-``WavingJaco-v0``: so every command line knows ids from outside of the package.
+``my_module:WavingJaco-v0`` first imports ``my_module``, which registers its tasks and robots, and then stands for
+``WavingJaco-v0``. This makes environments from outside the package available to every command line.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ VERSION = "v0"
 
 @dataclass(frozen=True)
 class Recipe:
-    """What an id stands for."""
+    """The task, robot and kind of person that an id stands for."""
 
     name: str
     task: Task
@@ -35,10 +35,10 @@ class Recipe:
 
 
 def register_task(task: Task) -> None:
-    """Add a task from outside of the package; its ids exist for every robot at once.
+    """Register a task from outside the package; its ids become available for every robot.
 
     Raises:
-        SpecError: there is a task of that name already, or the name cannot be part of an id.
+        SpecError: if a task of that name already exists, or the name cannot be part of an id.
     """
     _check_name("task", task.name)
     if task.name in TASKS:
@@ -47,10 +47,10 @@ def register_task(task: Task) -> None:
 
 
 def register_robot(robot: RobotSpec) -> None:
-    """Add a robot from outside of the package; its ids exist for every task at once.
+    """Register a robot from outside the package; its ids become available for every task.
 
     Raises:
-        SpecError: there is a robot of that name already, or the name cannot be part of an id.
+        SpecError: if a robot of that name already exists, or the name cannot be part of an id.
     """
     _check_name("robot", robot.name)
     if robot.name in ROBOTS:
@@ -68,7 +68,7 @@ def _check_name(kind: str, name: str) -> None:
 
 
 def list_envs() -> list[str]:
-    """Every environment id, static person first."""
+    """Return every environment id, those with a static person first."""
     return [
         f"{task}{robot}{human}-{VERSION}"
         for human in ("", "Human")
@@ -78,13 +78,13 @@ def list_envs() -> list[str]:
 
 
 def parse(name: str) -> Recipe:
-    """What an id stands for, such as ``ScratchItchJaco-v0`` or ``my_module:WavingJacoHuman-v0``.
+    """Parse an id, such as ``ScratchItchJaco-v0`` or ``my_module:WavingJacoHuman-v0``.
 
     Args:
-        name: an id; a module before it is imported first. The recipe's name is without it.
+        name: an id. If a module precedes it, that module is imported first; the recipe's name does not include it.
 
     Raises:
-        UnknownNameError: there is no such module or id; the message has the nearest, and says whether
+        UnknownNameError: if there is no such module or id; the message suggests the closest match and says whether
             it is the task or the robot that does not exist.
     """
     if not isinstance(name, str):
@@ -100,18 +100,18 @@ def parse(name: str) -> Recipe:
 
 
 def static_id(name: str) -> str:
-    """The id of the same task and robot with a person who holds still."""
+    """Return the id of the same task and robot with a person who holds still."""
     return name.replace("Human-", "-")
 
 
 def active_id(name: str) -> str:
-    """The id of the same task and robot with a person who acts."""
+    """Return the id of the same task and robot with a person who acts."""
     stem, _, version = static_id(name).rpartition("-")
     return f"{stem}Human-{version}"
 
 
 def _import(module: str, name: str) -> None:
-    """Import the module before an id's colon, unless it is the program that runs."""
+    """Import the module before an id's colon, unless it is the running program itself."""
     program = sys.modules["__main__"]
     running = (
         getattr(getattr(program, "__spec__", None), "name", None)

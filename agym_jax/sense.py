@@ -1,7 +1,7 @@
-"""What one control step shows a task: records in world coordinates, without a simulator.
+"""The sensed data of one control step that a task receives: records in world coordinates, independent of the simulator.
 
-``agym_jax.sim.sensing`` fills them from a simulator's data. Forces are normal forces of contact sensors,
-averaged over the physics steps of a control step.
+``agym_jax.sim.sensing`` fills them from simulation data. Forces are normal forces of contact sensors, averaged over
+the physics steps of a control step.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from agym_jax.human.anthropometry import Dims
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ToolSensed:
-    """One tool (the bare hand, in tasks without one), in world coordinates."""
+    """One tool (or the bare hand, in tasks without a tool), in world coordinates."""
 
     pos_w: Array  # tip of the tool [m]                                     (3,)
     quat_w: Array  # wxyz                                                   (4,)
@@ -35,7 +35,7 @@ class ToolSensed:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Motion:
-    """Poses at every physics step of a control step: n steps, n + 1 poses."""
+    """Poses at every physics step of a control step: n + 1 poses for n steps."""
 
     tool_pos_w: Array  # tip of the first tool [m]                          (n + 1, 3)
     tool_quat_w: Array  # wxyz                                              (n + 1, 4)
@@ -46,7 +46,7 @@ class Motion:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Sensed:
-    """One control step, in world coordinates; everything a task may know."""
+    """The sensed data of one control step, in world coordinates; everything that a task may use."""
 
     tools: tuple[ToolSensed, ...]  # one for each arm, in action order
     arm_angles: Array  # of the robot's arms [rad]                          (n_arm,)
@@ -62,39 +62,39 @@ class Sensed:
 
     @property
     def tool(self) -> ToolSensed:
-        """The first, and mostly only, tool."""
+        """The first tool, which in most tasks is the only one."""
         return self.tools[0]
 
     @property
     def tool_on_human(self) -> Array:
-        """Normal force of all tools on the person [N] ()."""
+        """Total normal force of all tools on the person [N] ()."""
         return jnp.sum(jnp.stack([t.on_human for t in self.tools]))
 
     @property
     def force_on_human(self) -> Array:
-        """Normal force of robot and tools on the person [N] ()."""
+        """Total normal force of the robot and its tools on the person [N] ()."""
         return self.tool_on_human + self.robot_on_human
 
     @property
     def human_pos_w(self) -> Array:
-        """The chest [m] (3,)."""
+        """Position of the chest [m] (3,)."""
         return self.link_pos_w["chest"]
 
     @property
     def mouth_pos_w(self) -> Array:
-        """Just before the lips [m] (3,). AG feeding.py: (0, -0.11 or -0.10, 0.03) in the head."""
+        """Position of the mouth, just in front of the lips [m] (3,). AG feeding.py: (0, -0.11 or -0.10, 0.03) in the head."""
         zero = jnp.zeros_like(self.dims.mouth_y)
         local = jnp.stack([zero, self.dims.mouth_y, self.dims.mouth_z])
         return self.link_pos_w["head"] + self.link_rot_w["head"] @ local
 
 
 def quats_of(sensed: Sensed) -> Array:
-    """The quaternions that a task may observe, of tools and links, in order (n, 4)."""
+    """Return the quaternions that a task may observe: those of the tools, then of the links, in order (n, 4)."""
     return jnp.stack([*(t.quat_w for t in sensed.tools), *sensed.link_quat_w.values()])
 
 
 def with_quats(sensed: Sensed, quats: Array) -> Sensed:
-    """The same with other quaternions, in the order of ``quats_of`` (n, 4)."""
+    """Return the same data with different quaternions, in the order of ``quats_of`` (n, 4)."""
     tools = tuple(replace(t, quat_w=quats[i]) for i, t in enumerate(sensed.tools))
     links = dict(zip(sensed.link_quat_w, quats[len(tools) :], strict=True))
     return replace(sensed, tools=tools, link_quat_w=links)

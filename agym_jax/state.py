@@ -32,7 +32,7 @@ WARP_RESET = (
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Episode:
-    """Everything that is drawn once an episode, and its clock."""
+    """Everything that is drawn once per episode, and the episode's clock."""
 
     human: Human
     pose: BodyPose  # how the person sits or lies
@@ -46,15 +46,15 @@ class Episode:
 
 
 MOVING = ("human_target", "step", "sent")
-"""Fields of an episode that a step changes; the others stay as they were drawn."""
+"""Fields of an episode that change with every step; the others stay as they were drawn."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PipelineState:
-    """All that an episode goes on from: what Brax's ``AutoResetWrapper`` keeps of the first state, and restores.
+    """Everything needed to continue an episode; Brax's ``AutoResetWrapper`` stores that of the first state and restores it.
 
-    Attributes of ``data``, such as ``qpos``, are also its own.
+    Attributes of ``data``, such as ``qpos``, are available on this object too.
     """
 
     data: Any  # mjx.Data
@@ -71,7 +71,10 @@ class PipelineState:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class State:
-    """One environment. Satisfies Brax's ``State`` in use: obs, reward, done, metrics, info, ``replace``."""
+    """State of one environment.
+
+    It can be used like Brax's ``State``: it has ``obs``, ``reward``, ``done``, ``metrics``, ``info`` and ``replace``.
+    """
 
     data: Any  # mjx.Data
     obs: jax.Array  # robot's columns, then the active person's               (n_obs,)
@@ -87,7 +90,7 @@ class State:
     regions: Any = None  # forces on the person's body, see ``human.regions.RegionForces``
 
     def replace(self, **changes: Any) -> State:
-        """A copy with some fields changed; ``pipeline_state`` stands for all that it has."""
+        """Return a copy with some fields replaced; ``pipeline_state`` replaces every field that it contains."""
         whole = changes.pop("pipeline_state", None)
         if isinstance(whole, PipelineState):
             if "first_pipeline_state" in self.info:
@@ -99,10 +102,10 @@ class State:
 
     @property
     def pipeline_state(self) -> PipelineState:
-        """Brax's name for all of the simulation.
+        """Brax's name for the state of the simulation.
 
         Raises:
-            WrapperError: the physics is Warp, whose data must not be selected leaf by leaf.
+            WrapperError: if the physics is Warp, whose data must not be selected leaf by leaf.
         """
         if getattr(getattr(self.data, "impl", None), "value", None) == "warp":
             raise WrapperError(WARP_RESET)
@@ -110,7 +113,7 @@ class State:
 
 
 def strong(tree: Any) -> Any:
-    """No weak types: what ``reset`` and ``step`` return must compile once."""
+    """Remove weak types, so that what ``reset`` and ``step`` return compiles only once."""
     return jax.tree.map(
         lambda x: jax.lax.convert_element_type(x, x.dtype) if getattr(x, "weak_type", False) else x,
         tree,
@@ -118,18 +121,18 @@ def strong(tree: Any) -> Any:
 
 
 def select(where: jax.Array, new: Any, old: Any) -> Any:
-    """Of two trees, the new one where it holds."""
+    """Select from two trees: the new one where ``where`` is true, otherwise the old one."""
     return jax.tree.map(lambda a, b: jnp.where(where, a, b), new, old)
 
 
 def raw_key(key: jax.Array) -> jax.Array:
-    """A PRNG key, typed or raw, as a raw one (..., 2)."""
+    """Convert a PRNG key, typed or raw, to a raw key (..., 2)."""
     typed = jax.dtypes.issubdtype(key.dtype, jax.dtypes.prng_key)
     return jax.random.key_data(key) if typed else key
 
 
 def moved(state: State, fields: dict[str, Any]) -> State:
-    """The state with what a step has changed."""
+    """Return the state with the fields that a step has changed."""
     fields = dict(fields)
     clock = {name: fields.pop(name) for name in MOVING}
     metrics = {**state.metrics, **fields.pop("metrics")}
@@ -138,15 +141,15 @@ def moved(state: State, fields: dict[str, Any]) -> State:
 
 
 RESTARTED = ("data", "task", "obs", "privileged_obs", "quats", "episode", "key")
-"""Fields of a state that begin anew with an episode; reward, metrics and ``done`` are those of the last step."""
+"""Fields of a state that a new episode replaces; reward, metrics and ``done`` remain those of the last step."""
 
 
 def begun(state: State, resets: list[tuple[Any, dict[str, Any]]]) -> State:
-    """The state of a batch in which some environments begin another episode, in NumPy.
+    """Return the state of a batch in which some environments begin another episode, in NumPy.
 
     Args:
-        state: of the batch.
-        resets: rows (n,), and their fields (n, ...).
+        state: state of the batch.
+        resets: row indices (n,) and the new fields of those rows (n, ...).
     """
     if not resets:
         return state
@@ -163,9 +166,9 @@ def begun(state: State, resets: list[tuple[Any, dict[str, Any]]]) -> State:
 
 
 def limited_by_brax(state: State) -> State:
-    """The state after a step, ended by its length only if no wrapper of Brax's sees to that.
+    """Return the state after a step, ending the episode at its length only if no Brax wrapper does so.
 
-    Brax's EpisodeWrapper counts in ``info`` and sets the limit too; it would take ours for a failure. It wraps
-    the environment itself and reads ``done`` at once, so nothing of our adapter is between them.
+    Brax's EpisodeWrapper counts steps in ``info`` and applies the limit itself; it would mistake ours for a failure.
+    It wraps the environment directly and reads ``done`` immediately, so our adapter is never in between.
     """
     return state.replace(done=state.metrics["nan"]) if "steps" in state.info else state

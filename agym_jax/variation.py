@@ -1,7 +1,7 @@
-"""How robots differ from episode to episode: friction, strength of motors, latency, noise of sensors. Off by default.
+"""Variation of the robot between episodes: friction, motor strength, latency and sensor noise. Off by default.
 
-A ``RobotVariation`` says from which ranges; what is drawn at reset is a ``RobotDraw`` in the state of the episode. What is not
-varied is None there, so it costs nothing and changes nothing.
+A ``RobotVariation`` specifies the ranges; each reset draws a ``RobotDraw``, which is part of the episode's state. Quantities
+that do not vary are None there, so that they add no cost and change nothing.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ RANGE = {
     "friction": (0.0, math.inf), "strength": (0.0, math.inf), "latency": (0, 20),
     "position_noise": (0.0, math.inf), "angle_noise": (0.0, math.inf), "force_noise": (0.0, math.inf),
 }  # fmt: skip
-"""Least and largest values of the ranges; strength is above the least."""
+"""Smallest and largest values that a range may have; strength must exceed the smallest."""
 NOISE = {"m": "position_noise", "rad": "angle_noise", "1 (wxyz)": "angle_noise", "N": "force_noise"}
-"""Unit of an observation's column -> the noise that it has. Columns of other units have none."""
+"""Unit of an observation column -> the noise added to it. Columns of other units have no noise."""
 QUATERNION = "1 (wxyz)"
 BEYOND = 0x0B07
-"""What is folded into an episode's key for the robot's draw: the other draws are as without it."""
+"""Folded into an episode's key to draw the robot, so that the other draws are unaffected."""
 
 
 @dataclass(frozen=True)
 class RobotVariation:
-    """Ranges, (low, high), from which each episode draws its robot, uniformly. By default robots do not vary.
+    """Ranges (low, high) from which each episode draws its robot uniformly. By default robots do not vary.
 
     Attributes:
-        friction: factor of the friction of tool and robot with all that they touch [1].
-        strength: factor of the largest torque of the motors [1].
-        latency: by how much later the robot's actions arrive [control steps].
-        position_noise: standard deviation of noise on what the robot observes of positions [m].
-        angle_noise: of joint angles, and of turns of orientations [rad].
-        force_noise: of forces [N].
+        friction: factor on the friction of the tool and the robot with everything they touch [1].
+        strength: factor on the maximum torque of the motors [1].
+        latency: delay of the robot's actions [control steps].
+        position_noise: standard deviation of the noise on positions that the robot observes [m].
+        angle_noise: standard deviation of the noise on observed joint angles and orientations [rad].
+        force_noise: standard deviation of the noise on observed forces [N].
     """
 
     friction: tuple[float, float] = (1.0, 1.0)
@@ -51,16 +51,16 @@ class RobotVariation:
     force_noise: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Refuse ranges that nothing can be drawn from.
+        """Reject ranges from which nothing can be drawn.
 
         Raises:
-            ArgumentError: a range is no two numbers in order, or beyond what makes sense.
+            ArgumentError: if a range is not two numbers in ascending order, or exceeds the allowed limits.
         """
         for field in dataclasses.fields(self):
             _check_range(field.name, getattr(self, field.name))
 
     def varies(self, *names: str) -> bool:
-        """Whether any of these, or anything at all, is other than its default."""
+        """Return whether any of the named ranges differs from its default; without names, whether any range does."""
         fields = [x for x in dataclasses.fields(self) if not names or x.name in names]
         return any(getattr(self, x.name) != x.default for x in fields)
 
@@ -68,7 +68,7 @@ class RobotVariation:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class RobotDraw:
-    """The robot of one episode; None is what is not varied."""
+    """The robot of one episode; quantities that do not vary are None."""
 
     friction: Any = None  # factor                                                    ()
     strength: Any = None  # factor                                                    ()
@@ -79,10 +79,10 @@ class RobotDraw:
 
 
 def checked_variation(robot: Any) -> RobotVariation | None:
-    """The variation that was asked for; None if robots do not vary.
+    """Return the given variation, or None if robots do not vary.
 
     Raises:
-        ArgumentError: it is no ``RobotVariation``.
+        ArgumentError: if it is not a ``RobotVariation``.
     """
     if robot is None:
         return None
@@ -114,7 +114,7 @@ def sample_robot(key: jax.Array, variation: RobotVariation | None) -> RobotDraw 
     """Draw the robot of an episode.
 
     Args:
-        key: of the episode, typed or raw; it is not used up.
+        key: key of the episode, typed or raw; it is not consumed.
         variation: the ranges; None for robots that do not vary.
     """
     if variation is None:
@@ -142,19 +142,19 @@ def sample_robot(key: jax.Array, variation: RobotVariation | None) -> RobotDraw 
 
 
 def nothing_sent(robot: RobotDraw | None, n_arm: int, xp: Any = jnp) -> Any:
-    """The actions that are under way as an episode begins: none that moves (longest, n_arm); None without latency."""
+    """Return the delayed actions at the start of an episode, all zero (longest, n_arm); None without latency."""
     if robot is None or robot.latency is None:
         return None
     return xp.zeros((robot.longest, n_arm), np.float32)
 
 
 def delayed(robot: RobotDraw | None, sent: Any, action: jax.Array) -> tuple[jax.Array, Any]:
-    """The robot's action that arrives now, and those that are under way.
+    """Return the robot action that takes effect now, and the actions that are still delayed.
 
     Args:
-        robot: of the episode.
-        sent: its last actions, the newest first (longest, n_arm); None without latency.
-        action: that is sent now (n_arm,).
+        robot: robot of the episode.
+        sent: the most recent actions, newest first (longest, n_arm); None without latency.
+        action: action sent now (n_arm,).
     """
     if robot is None or sent is None:
         return action, sent
@@ -163,13 +163,13 @@ def delayed(robot: RobotDraw | None, sent: Any, action: jax.Array) -> tuple[jax.
 
 
 def sensed_by(robot: RobotDraw | None, record: type, obs: jax.Array, step: Any) -> jax.Array:
-    """What the robot observes, with the noise of its sensors.
+    """Add sensor noise to the robot's observation.
 
     Args:
-        robot: of the episode.
-        record: of the observation.
-        obs: what there is to see (n_obs,).
-        step: control steps done; the noise of each is another ().
+        robot: robot of the episode.
+        record: record of the observation.
+        obs: observation without noise (n_obs,).
+        step: control steps taken; each step has different noise ().
     """
     if robot is None or robot.noise is None:
         return obs

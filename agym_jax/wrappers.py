@@ -1,4 +1,4 @@
-"""Many environments at once, with auto-reset: every finished episode restarts as somebody else."""
+"""Batches of environments with auto-reset: every finished episode is followed by one with another person."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ from agym_jax.state import State, begun, moved, raw_key
 
 
 class VectorEnv:
-    """A batch of one environment; ``reset`` and ``step`` are pure.
+    """A batch of copies of one environment; ``reset`` and ``step`` are pure functions.
 
-    When an episode ends, ``step`` returns the first observation of the next one in ``obs``, and the
-    true last observation in ``info["final_observation"]``. ``info["truncation"]`` is 1.0 where the episode
-    ended by its length, as all of Assistive Gym's do, rather than by the NaN guard. Where a task has a
-    ``privileged_obs``, the state's belongs to ``obs`` and ``info["final_privileged_obs"]`` to ``final_observation``.
+    When an episode ends, ``step`` returns the first observation of the next episode in ``obs``, and the last
+    observation of the old one in ``info["final_observation"]``. ``info["truncation"]`` is 1.0 where the episode
+    ended because it reached its length, as all of Assistive Gym's do, rather than because of the NaN guard. If the
+    task has a ``privileged_obs``, the state's corresponds to ``obs``, and ``info["final_privileged_obs"]`` to
+    ``final_observation``.
     """
 
     def __init__(self, env: Any, num_envs: int):
@@ -43,22 +44,22 @@ class VectorEnv:
 
     @property
     def observation_size(self) -> int:
-        """Columns of one observation."""
+        """Length of one environment's observation."""
         return self.env.observation_size
 
     @property
     def action_size(self) -> int:
-        """Entries of one action."""
+        """Length of one environment's action."""
         return self.env.action_size
 
     def reset(self, key: Array) -> Any:
-        """A batch of fresh episodes.
+        """Begin an episode in every environment.
 
         Args:
             key: one PRNG key, or one for each environment.
 
         Raises:
-            ArgumentError: it is no key, or as many as there are environments.
+            ArgumentError: if it is neither a single key nor one key for each environment.
         """
         check_key(key, self.name, self.num_envs)
         one = key.ndim == (0 if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else 1)
@@ -68,15 +69,15 @@ class VectorEnv:
         return state.replace(info=info)
 
     def step(self, state: Any, action: Array) -> Any:
-        """One control step of every environment.
+        """Advance every environment by one control step.
 
         Args:
-            state: of the batch.
+            state: state of the batch.
             action: (num_envs, action_size).
 
         Raises:
-            ActionError: the action has another shape.
-            ArgumentError: the state is not one of this batch.
+            ActionError: if the action has a different shape.
+            ArgumentError: if the state does not belong to this batch.
         """
         self._check_shapes(state, action)
         info = state.info
@@ -106,11 +107,11 @@ class VectorEnv:
             )
 
     def stagger(self, state: Any, key: Array) -> Any:
-        """Put the environments' clocks at random steps, so that episodes do not all end together.
+        """Set the environments' clocks to random steps, so that episodes do not all end together.
 
         Args:
-            state: of the batch.
-            key: PRNG key, or several (n, 2) for as many equal parts of the batch.
+            state: state of the batch.
+            key: PRNG key, or n keys (n, 2) for n equal parts of the batch.
         """
 
         def draw(key: Array, count: int) -> Array:
@@ -125,12 +126,12 @@ class VectorEnv:
 
 
 class NativeVectorEnv(VectorEnv):
-    """A batch on C MuJoCo (``impl="native"``): as ``VectorEnv``, but in NumPy, in threads, and not to be traced.
+    """A batch on C MuJoCo (``impl="native"``): like ``VectorEnv``, but multi-threaded, in NumPy, and not traceable.
 
     Args:
-        env: made with ``impl="native"``.
-        num_envs: environments.
-        num_threads: that step them; by default one for each CPU core. They change nothing but the speed.
+        env: environment made with ``impl="native"``.
+        num_envs: number of environments.
+        num_threads: number of threads that step them; by default one per CPU core. It affects only the speed.
     """
 
     def __init__(self, env: Any, num_envs: int, num_threads: int | None = None):
@@ -147,7 +148,7 @@ class NativeVectorEnv(VectorEnv):
         self._pool = ThreadPoolExecutor(self.num_threads, thread_name_prefix="agym_jax")
 
     def reset(self, key: Array) -> Any:
-        """A batch of fresh episodes; see ``VectorEnv.reset``."""
+        """Begin an episode in every environment; see ``VectorEnv.reset``."""
         check_key(key, self.name, self.num_envs)
         check_traceable(self.env.physics, key)
         key = raw_key(key)
@@ -162,7 +163,7 @@ class NativeVectorEnv(VectorEnv):
         return state.replace(info=info)
 
     def step(self, state: Any, action: Any) -> Any:
-        """One control step of every environment; see ``VectorEnv.step``."""
+        """Advance every environment by one control step; see ``VectorEnv.step``."""
         check_traceable(self.env.physics, state.obs, action)
         self._check_shapes(state, action)
         action, rows = np.asarray(action, np.float32), self.env.native_rows
@@ -186,22 +187,22 @@ class NativeVectorEnv(VectorEnv):
 
 
 def _joined(parts: Any) -> Any:
-    """Fields of the slots as those of the batch."""
+    """Concatenate the fields of the slots into those of the batch."""
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
 
 def _final(state: Any) -> dict[str, Array]:
-    """What is observed at the end of a step, before any reset."""
+    """Return the observations at the end of a step, before any reset."""
     final = {"final_observation": state.obs}
     privileged = state.privileged_obs
     return final if privileged is None else final | {"final_privileged_obs": privileged}
 
 
 def vectorize(env: Any, num_envs: int) -> VectorEnv:
-    """``num_envs`` copies of an environment, with auto-reset.
+    """Make a batch of ``num_envs`` copies of an environment, with auto-reset.
 
     Raises:
-        ArgumentError: ``env`` is no environment, or ``num_envs`` no number of at least 1.
+        ArgumentError: if ``env`` is not an environment, or ``num_envs`` is not a whole number of at least 1.
     """
     if not hasattr(env, "sized_for"):
         made = f": agym_jax.make({env!r}) makes one" if isinstance(env, str) else ""

@@ -1,6 +1,6 @@
-"""Who the person of an episode is: sex, size, impairment, strength, range of motion, tremor.
+"""The person of an episode: sex, size, impairment, strength, range of motion, tremor.
 
-Distributions of Assistive Gym v0.1 ``world_creation.py`` (reference humans.md sections 1 and 6).
+The distributions are those of Assistive Gym v0.1 ``world_creation.py`` (reference humans.md sections 1 and 6).
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from agym_jax.human import anthropometry
 IMPAIRMENTS = ("none", "limits", "weakness", "tremor")
 MASSES = ("body", "ag", "both")
 LEAST = {"blend": -math.inf, "stature": 0.0, "girth": 0.0}
-"""What the ranges of sizes must be above."""
+"""Exclusive lower bounds of the ranges of sizes."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Human:
-    """The person of one episode. All leaves are float32, so a batch holds as many people."""
+    """The person of one episode. All leaves are float32 arrays, so a batch of them holds several people."""
 
     sex: jax.Array  # 0 male, 1 female                                         ()
     stature: jax.Array  # height_scale                                         ()
@@ -37,7 +37,7 @@ class Human:
 
     @property
     def impaired(self) -> dict[str, Any]:
-        """Which of ``IMPAIRMENTS`` they have: name -> whether (). A tremor needs a joint that moves."""
+        """Impairments of the person: name -> whether present (). A tremor requires a joint that moves."""
         return {
             "limits": self.limit_scale < 1,
             "weakness": self.strength < 1,
@@ -46,25 +46,25 @@ class Human:
 
     @property
     def dims(self) -> anthropometry.Dims:
-        """Sizes and mass of the body."""
+        """Dimensions and mass of the body."""
         return anthropometry.dims(self.sex, self.stature, self.girth)
 
 
 @dataclass(frozen=True)
 class Population:
-    """The population that episodes draw from.
+    """The population from which each episode draws its person.
 
     Attributes:
-        sizes: ``"ag"`` draws Assistive Gym's 50th-percentile man or woman with equal chance;
-            ``"continuous"`` blends the two tables and scales stature and girth as well.
-        impairments: which of none, limits, weakness, tremor are drawn, uniformly; None = the task's.
-        blend: range of ``sex`` when continuous (0 male, 1 female).
-        stature: range of the height scale when continuous.
-        girth: range of the radius scale when continuous.
-        masses: ``"body"`` has the mass of a limb where the limb is; ``"ag"`` is as Assistive Gym: every centre of mass
-            at its joint, the inertia of boxes, joints without damping but for Bullet's drag, which stop dead at
-            their limits, and no support of a seated person's girdle. For comparisons and for transfer. ``"both"`` draws
-            a person of the one or the other kind with equal chance.
+        sizes: ``"ag"`` draws Assistive Gym's 50th-percentile man or woman with equal probability;
+            ``"continuous"`` interpolates between the two body tables and also scales stature and girth.
+        impairments: the impairments to draw from, uniformly: none, limits, weakness, tremor; None = the task's own.
+        blend: range of ``sex`` if sizes are continuous (0 male, 1 female).
+        stature: range of the height scale if sizes are continuous.
+        girth: range of the radius scale if sizes are continuous.
+        masses: ``"body"`` places the mass of each limb where the limb is. ``"ag"`` follows Assistive Gym, for comparisons
+            and transfer: every centre of mass at its joint, the inertia of boxes, joints with no damping except Bullet's
+            drag and with hard stops at their limits, and no support for a seated person's shoulder girdle.
+            ``"both"`` draws a person of either kind with equal probability.
     """
 
     sizes: str = "ag"
@@ -75,11 +75,11 @@ class Population:
     masses: str = "body"
 
     def __post_init__(self) -> None:
-        """Refuse populations that nobody is drawn from.
+        """Reject populations from which nobody could be drawn.
 
         Raises:
-            UnknownNameError: a name that does not exist.
-            ArgumentError: a range without anybody in it, one that ``sizes`` ignores, or no impairment.
+            UnknownNameError: if a name does not exist.
+            ArgumentError: if a range is empty or is ignored by ``sizes``, or there are no impairments.
         """
         if self.sizes not in ("ag", "continuous"):
             raise UnknownNameError("way to draw sizes", self.sizes, ("ag", "continuous"))
@@ -109,10 +109,10 @@ class Population:
 
 
 def checked_population(humans: Any) -> Population:
-    """The population that was asked for; Assistive Gym's men and women if none was.
+    """Return the given population, or Assistive Gym's men and women if there is none.
 
     Raises:
-        ArgumentError: it is no ``Population``.
+        ArgumentError: if it is not a ``Population``.
     """
     if humans is not None and not isinstance(humans, Population):
         raise ArgumentError(
@@ -123,7 +123,7 @@ def checked_population(humans: Any) -> Population:
 
 
 def _check_range(name: str, value: Any) -> None:
-    """Raise if a range is not two finite numbers in order."""
+    """Raise unless a range is two finite numbers in ascending order."""
     least, numbers = LEAST[name], isinstance(value, tuple) and len(value) == 2
     numbers = numbers and all(
         isinstance(x, (int, float)) and not isinstance(x, bool) for x in value
@@ -146,9 +146,9 @@ def sample_human(
     Args:
         key: PRNG key.
         humans: the population.
-        n_joints: controllable joints, each with a tremor amplitude of its own.
-        tremor_amplitude: bound of the amplitudes [rad].
-        impairments: the task's, used unless ``humans`` names its own.
+        n_joints: number of controllable joints, each with its own tremor amplitude.
+        tremor_amplitude: largest tremor amplitude [rad].
+        impairments: the task's impairments, used unless ``humans`` specifies its own.
     """
     keys = jax.random.split(key, 7)
     kinds = humans.impairments if humans.impairments is not None else impairments

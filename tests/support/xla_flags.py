@@ -8,7 +8,7 @@ from importlib.metadata import version
 KNOWN = {
     "": "--xla_backend_optimization_level=0",
     # others may lack one of these, and an unknown flag ends the process
-    "0.10.": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
+    "0.10.2": "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
     "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 "
     "--xla_cpu_experimental_ynn_fusion_type= --xla_cpu_multi_thread_eigen=false",
 }

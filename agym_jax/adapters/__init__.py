@@ -1,1 +1,1 @@
-"""Bridges to other libraries' interfaces; nothing in the package depends on them."""
+"""Adapters to the interfaces of other libraries; nothing else in the package depends on them."""

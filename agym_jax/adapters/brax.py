@@ -1,4 +1,4 @@
-"""Brax's trainers on every environment: a new human in each episode, Brax itself unchanged.
+"""Adapter for Brax's unmodified trainers, with a new person in every episode.
 
     from agym_jax.adapters.brax import wrap_for_brax_training
     from brax.training.agents.ppo import train as ppo
@@ -6,8 +6,8 @@
     env = agym_jax.make("ReachingSawyer-v0")
     ppo.train(env, ..., episode_length=env.episode_length, wrap_env_fn=wrap_for_brax_training)
 
-Brax's ``AutoResetWrapper`` begins every episode from the state of the first one. Here an episode that ends is
-followed by one with another human, goal and start. ``docs/brax.md`` has a full example.
+Brax's ``AutoResetWrapper`` starts every episode from the state of the first one. Here, every episode has a new
+person, goal and start. ``docs/brax.md`` has a complete example.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from brax.envs.base import Wrapper  # isort: skip
 
 FORCES = "force/"
 PER_STEP = "_per_step"
-"""Brax divides the sum of a metric by the length of the episode if its name ends like this."""
+"""Suffix of metrics whose sum Brax divides by the length of the episode."""
 
 
 def wrap_for_brax_training(
@@ -38,19 +38,19 @@ def wrap_for_brax_training(
     randomization_fn: Callable | None = None,
     bootstrap_on_timeout: bool = False,
 ) -> BraxTrainingEnv:
-    """What Brax's trainers take as ``wrap_env_fn``; for ``agym_jax.make``'s environments.
+    """Wrap an environment from ``agym_jax.make`` for Brax's trainers; pass this function as their ``wrap_env_fn``.
 
     Args:
-        env: from ``agym_jax.make``, not wrapped.
-        episode_length: control steps after which an episode is cut; the task's own length at most.
-        action_repeat: control steps that every action is held for.
-        randomization_fn: none is taken, see ``humans`` of ``agym_jax.make``.
-        bootstrap_on_timeout: as ``brax.training.agents.ppo.train.train`` has it, with
-            ``functools.partial``: time limits are told in ``info["time_out"]``, not in ``info["truncation"]``.
+        env: environment from ``agym_jax.make``, not wrapped.
+        episode_length: control steps after which an episode is truncated; at most the task's own length.
+        action_repeat: number of control steps for which every action is held.
+        randomization_fn: not supported; use ``humans`` of ``agym_jax.make`` instead.
+        bootstrap_on_timeout: the same value as that passed to ``brax.training.agents.ppo.train.train``; set it with
+            ``functools.partial``. If true, time limits are reported in ``info["time_out"]``, not ``info["truncation"]``.
 
     Raises:
-        WrapperError: the environment is wrapped already, cannot be compiled, or there is a
-            ``randomization_fn``; or the length is not a multiple of ``action_repeat``.
+        WrapperError: if the environment is already wrapped or cannot be compiled, a ``randomization_fn`` is given, or
+            the length is not a multiple of ``action_repeat``.
     """
     brax_jax.apply()
     if randomization_fn is not None:
@@ -63,15 +63,15 @@ def wrap_for_brax_training(
 
 
 class BraxTrainingEnv(Wrapper):
-    """A batch of environments by Brax's conventions, with auto-reset; as large as the keys that reset it.
+    """A batch of environments that follows Brax's conventions, with auto-reset; reset keys determine the batch size.
 
-    ``state.info`` has ``steps``, ``truncation``, ``episode_done`` and ``episode_metrics`` as Brax's
-    ``EpisodeWrapper`` writes them. ``state.metrics`` are such that Brax's sum over an episode says something:
-    rewards by their terms; ``success``, 1 at the last step of an episode that succeeded; ``force/..._per_step`` [N],
-    which Brax turns into means; and counts of ``nan`` and ``overflow``.
+    ``state.info`` contains ``steps``, ``truncation``, ``episode_done`` and ``episode_metrics`` as written by Brax's
+    ``EpisodeWrapper``. ``state.metrics`` are chosen such that Brax's sums over an episode are meaningful: the reward
+    terms; ``success``, 1 at the last step of a successful episode; ``force/..._per_step`` [N], which Brax converts to
+    means; and counts of ``nan`` and ``overflow``.
 
     Args:
-        env: from ``agym_jax.make``.
+        env: environment from ``agym_jax.make``.
         episode_length: see ``wrap_for_brax_training``.
         action_repeat: see ``wrap_for_brax_training``.
         bootstrap_on_timeout: see ``wrap_for_brax_training``.
@@ -112,13 +112,13 @@ class BraxTrainingEnv(Wrapper):
             )
 
     def reset(self, rng: Array) -> Any:
-        """Fresh episodes.
+        """Begin an episode in every environment.
 
         Args:
             rng: PRNG keys, raw (B, 2) or typed (B,).
 
         Raises:
-            WrapperError: there is one key only.
+            WrapperError: if there is only a single key.
         """
         typed = jnp.issubdtype(rng.dtype, jax.dtypes.prng_key)
         if rng.ndim != (1 if typed else 2):
@@ -134,14 +134,14 @@ class BraxTrainingEnv(Wrapper):
         return state.replace(metrics=metrics, info={**info, "episode_metrics": totals})
 
     def step(self, state: Any, action: Array) -> Any:
-        """Hold the actions for ``action_repeat`` control steps; then begin anew where an episode is over.
+        """Hold the actions for ``action_repeat`` control steps, then reset the environments whose episode is over.
 
         Args:
-            state: of the batch.
+            state: state of the batch.
             action: (B, action_size).
 
         Raises:
-            ActionError: the actions have another shape.
+            ActionError: if the actions have a different shape.
         """
         expected = (*state.done.shape, self.action_size)
         if jnp.shape(action) != expected:
@@ -184,7 +184,7 @@ class BraxTrainingEnv(Wrapper):
         return after.replace(reward=reward, done=done, metrics=metrics, info=info)
 
     def _of(self, num_envs: int) -> Any:
-        """The environment with room for a batch; only Warp's buffers depend on it."""
+        """Return the environment sized for a batch; only Warp's buffers depend on the size."""
         if getattr(self.env, "impl", None) != "warp":
             return self.env
         if num_envs not in self._sized:
@@ -194,5 +194,5 @@ class BraxTrainingEnv(Wrapper):
 
 
 def _name(name: str) -> str:
-    """A metric's name as Brax shall read it."""
+    """Return the name of a metric that gives Brax the right aggregation."""
     return name + PER_STEP if name.startswith(FORCES) else name

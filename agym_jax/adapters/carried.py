@@ -1,4 +1,4 @@
-"""States as compiled programs hand them to each other: without the leaves that are empty."""
+"""States in the form passed between compiled programs: without their empty leaves."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import jax
 
 
 class Carried:
-    """Takes states of one structure apart and puts them together again.
+    """Splits states of one structure into arrays and reassembles them.
 
-    Every array that enters or leaves a compiled program takes time of the thread that calls it, also where it has no entries, as
-    the fields of ``mjx.Data`` for what a scene does not have.
+    Every array that enters or leaves a compiled program costs the calling thread time, even if it is empty, as are the
+    fields of ``mjx.Data`` for features that a scene does not use.
 
     Args:
-        state: any one of them.
+        state: any state of that structure.
     """
 
     def __init__(self, state: Any):
@@ -22,12 +22,12 @@ class Carried:
         self._empty = [None if x.size else x for x in leaves]
 
     def arrays(self, state: Any) -> list[Any]:
-        """The leaves of a state that have entries."""
+        """Return the leaves of a state that are not empty."""
         leaves = self._structure.flatten_up_to(state)
         return [x for x, empty in zip(leaves, self._empty, strict=True) if empty is None]
 
     def state(self, arrays: list[Any]) -> Any:
-        """The state that ``arrays`` are of."""
+        """Reassemble the state from its ``arrays``."""
         given = iter(arrays)
         leaves = [next(given) if empty is None else empty for empty in self._empty]
         return self._structure.unflatten(leaves)

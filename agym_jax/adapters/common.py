@@ -1,4 +1,4 @@
-"""What ``gymnasium.Env`` and ``gymnasium.vector.VectorEnv`` have in common: checks, spaces, pictures, infos."""
+"""Code shared by the ``gymnasium.Env`` and ``gymnasium.vector.VectorEnv`` adapters: checks, spaces, rendering, infos."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ RENDER_MODES = ("rgb_array",)
 
 
 class RenderModeError(AgymError, ValueError):
-    """A way to render that the environment does not have, or was not made with."""
+    """A render mode that the environment does not have, or was not made with."""
 
 
 class ForkedProcessError(AgymError, RuntimeError):
-    """An environment in a copy of a process whose JAX has begun to compute; it would wait for ever."""
+    """An environment in a process forked from one that already uses JAX, where it would hang."""
 
 
 class _Process:
-    """Where environments have been made."""
+    """The process in which environments have been made."""
 
     pid: int | None = None
 
@@ -44,7 +44,7 @@ def refuse_fork() -> None:
     """Raise in a process that was forked from one that has made an environment.
 
     Raises:
-        ForkedProcessError: says what to use instead.
+        ForkedProcessError: if so; the message says what to use instead.
     """
     if _Process.pid not in (None, os.getpid()):
         raise ForkedProcessError(
@@ -56,7 +56,7 @@ def refuse_fork() -> None:
 
 
 class Recipe(NamedTuple):
-    """What ``agym_jax.make`` is given; environments that are made of the same share their programs."""
+    """Arguments of ``agym_jax.make``; environments made with the same arguments share their compiled programs."""
 
     env_id: str
     impl: str
@@ -75,10 +75,10 @@ class Recipe(NamedTuple):
         episode_length: int | None,
         robot: Any,
     ) -> Recipe:
-        """Of what a user asks for; see ``agym_jax.make``.
+        """Make a recipe from a user's arguments; see ``agym_jax.make``.
 
         Raises:
-            AgymError: there is no such thing, or it makes no sense.
+            AgymError: if something named does not exist, or an argument is invalid.
         """
         usual = parse(env_id).task
         task = change_task(usual, config, episode_length)
@@ -93,7 +93,7 @@ class Recipe(NamedTuple):
         )
 
     def make(self) -> agym_jax.Env:
-        """The environment."""
+        """Make the environment."""
         return agym_jax.make(
             self.env_id,
             self.impl,
@@ -105,17 +105,17 @@ class Recipe(NamedTuple):
 
 
 def key_of(generator: np.random.Generator) -> np.ndarray:
-    """The raw PRNG key of an episode, drawn from an environment's generator (2,)."""
+    """Draw the raw PRNG key of an episode from an environment's generator (2,)."""
     return np.asarray(jax.random.PRNGKey(int(generator.integers(2**31))))
 
 
 def keys_of(seeds: Sequence[int | None]) -> np.ndarray:
-    """The raw PRNG keys of episodes with these seeds; None is a random one (n, 2)."""
+    """Return the raw PRNG keys of episodes with the given seeds; None stands for a random seed (n, 2)."""
     return np.stack([key_of(gymnasium.utils.seeding.np_random(one)[0]) for one in seeds])
 
 
 def lengths_of(env: agym_jax.Env) -> dict[str, int]:
-    """How many entries of observation and action are whose, as in Assistive Gym's ``info``."""
+    """Return the length of each agent's part of observation and action, as in Assistive Gym's ``info``."""
     return {
         f"{kind}_{agent}_len": sizes.get(agent, 0)
         for kind, sizes in (("obs", env.observation_sizes), ("action", env.action_sizes))
@@ -129,13 +129,13 @@ def info_of(
     real: Callable[[Any], Any],
     count: Callable[[Any], Any],
 ) -> dict[str, Any]:
-    """Assistive Gym's ``info``, and the reward's terms.
+    """Return Assistive Gym's ``info``, extended by the reward terms.
 
     Args:
-        metrics: of a state, of one environment or of several.
-        lengths: from ``lengths_of``.
-        real: what is made of a number.
-        count: what is made of a whole number.
+        metrics: metrics of the state of one or several environments.
+        lengths: result of ``lengths_of``.
+        real: conversion of real numbers.
+        count: conversion of whole numbers.
     """
     terms = {
         k.removeprefix("reward/"): real(v) for k, v in metrics.items() if k.startswith("reward/")
@@ -149,16 +149,16 @@ def info_of(
 
 
 def spaces_of(env: agym_jax.Env) -> tuple[spaces.Box, spaces.Box]:
-    """Of one environment's actions and observations."""
+    """Return the spaces of one environment's actions and observations."""
     actions = spaces.Box(-1.0, 1.0, (env.action_size,), np.float32)
     return actions, spaces.Box(-np.inf, np.inf, (env.observation_size,), np.float32)
 
 
 def checked_actions(env: agym_jax.Env, actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
-    """Actions as float32.
+    """Check actions and return them as float32.
 
     Raises:
-        ActionError: they have another shape, or NaN or infinite entries.
+        ActionError: if they have a different shape, or NaN or infinite entries.
     """
     array = np.asarray(actions, np.float32)
     if array.shape != shape:
@@ -171,10 +171,10 @@ def checked_actions(env: agym_jax.Env, actions: Any, shape: tuple[int, ...] | No
 
 
 def begun(env: agym_jax.Env, state: Any) -> Any:
-    """A state, if there is one.
+    """Return the state if there is one.
 
     Raises:
-        gymnasium.error.ResetNeeded: there is none yet.
+        gymnasium.error.ResetNeeded: if ``reset`` has not been called yet.
     """
     if state is None:
         raise gymnasium.error.ResetNeeded(f"{env.name} has no state before reset().")
@@ -182,13 +182,13 @@ def begun(env: agym_jax.Env, state: Any) -> Any:
 
 
 def refuse_options(env: agym_jax.Env, options: dict[str, Any] | None) -> None:
-    """Raise AgymError if there are any options of a reset."""
+    """Raise AgymError if any reset options are given."""
     if options:
         raise AgymError(f"{env.name} knows no reset options, got: {', '.join(options)}.")
 
 
 class View(NamedTuple):
-    """How pictures are made."""
+    """Settings for rendering."""
 
     width: int  # [pixels]
     height: int  # [pixels]
@@ -205,13 +205,13 @@ class View(NamedTuple):
         camera: str | int,
         visuals: str,
     ) -> View:
-        """A view of an environment.
+        """Check the render settings of an environment.
 
         Raises:
-            RenderModeError: there is no such render mode; the message has the nearest.
-            UnknownNameError: there is no such environment, or there are no such visuals.
-            ArgumentError: pictures without pixels.
-            UnknownCameraError: there is no such camera.
+            RenderModeError: if there is no such render mode; the message suggests the closest match.
+            UnknownNameError: if there is no such environment, or there are no such visuals.
+            ArgumentError: if the width or height is not positive.
+            UnknownCameraError: if there is no such camera.
         """
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise RenderModeError(
@@ -224,6 +224,6 @@ class View(NamedTuple):
     def renderer(
         self, env: agym_jax.Env, state: Any
     ) -> tuple[Renderer, mujoco.MjModel, mujoco.MjData]:
-        """What draws the episode of a state, on the host, and the scene that it draws."""
+        """Return a renderer for the episode of a state, on the host, and the model and data that it draws."""
         model, data = env.to_mujoco(state, self.visuals)
         return Renderer(model, self.width, self.height, self.camera), model, data

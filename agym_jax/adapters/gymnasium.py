@@ -1,11 +1,11 @@
-"""Every environment as a ``gymnasium.Env``: one world, NumPy in and out, a fresh human each episode.
+"""Every environment as a ``gymnasium.Env``: a single world, NumPy in and out, a new person in each episode.
 
     import agym_jax, gymnasium
     env = gymnasium.make("ScratchItchJaco-v0", render_mode="rgb_array")
 
-Training belongs on ``agym_jax.wrappers.vectorize``, which steps thousands of envs at once; this is
-for looking, for scripts, and for code that knows only gymnasium. On a CPU the physics is C MuJoCo's, so
-that the first step comes within seconds; ``impl="jax"`` is the one that is trained on, in one world.
+For training, use ``agym_jax.wrappers.vectorize``, which steps thousands of environments at once; this interface is for
+visualisation, scripts, and code that supports only Gymnasium. On a CPU the physics is C MuJoCo, so that the first step
+takes only seconds; ``impl="jax"`` selects the physics used in training, for a single world.
 
 DEVIATION(gymnasium-bounds): the observation space is unbounded; AG declares [-1, 1], which its
 observations exceed.
@@ -43,7 +43,7 @@ from agym_jax.variation import RobotVariation
 
 
 class _Programs(NamedTuple):
-    """An environment and its functions, compiled where they can be; all that are made of the same share them."""
+    """An environment and its functions, compiled where possible; shared by all instances with the same arguments."""
 
     env: agym_jax.Env
     reset: Any
@@ -57,36 +57,38 @@ def _programs(recipe: Recipe) -> _Programs:
 
 
 class GymnasiumEnv(gymnasium.Env):
-    """One environment of an environment.
+    """A single environment with Gymnasium's interface.
 
-    Episodes are truncated after 200 steps (``episode_length``), as all of Assistive Gym's are; they terminate only when
-    the physics fails. ``info`` has Assistive Gym's keys and the reward's terms.
+    Episodes are truncated after 200 steps (``episode_length``), like all of Assistive Gym's; they terminate only if
+    the physics fails. ``info`` has Assistive Gym's keys and the reward terms.
 
-    ``copy.deepcopy`` and ``pickle`` keep the state of the episode and the generator of the episodes to come: a copy goes
-    on as the original would, and neither changes the other, so a planner can try actions in copies. They share what is compiled.
+    ``copy.deepcopy`` and ``pickle`` preserve the state of the episode and the generator of future episodes: a copy
+    continues as the original would, and neither affects the other, so a planner can try out actions in copies. Copies
+    share the compiled programs.
 
     Args:
-        env_id: as in ``agym_jax.list_envs()``.
-        render_mode: ``"rgb_array"``, or None for no pictures.
-        impl: physics, see ``agym_jax.make``; ``"auto"`` is ``"native"`` on a CPU.
-        humans: the population, see ``agym_jax.make``.
-        width: of pictures [pixels].
-        height: of pictures [pixels].
+        env_id: environment id, see ``agym_jax.list_envs()``.
+        render_mode: ``"rgb_array"``, or None for no rendering.
+        impl: physics implementation, see ``agym_jax.make``; ``"auto"`` means ``"native"`` on a CPU.
+        humans: population, see ``agym_jax.make``.
+        width: image width [pixels].
+        height: image height [pixels].
         camera: name or number of the camera.
-        visuals: of the robot in pictures, ``"primitives"`` or ``"meshes"``, see ``agym_jax.rendering.meshes``.
+        visuals: appearance of the robot, ``"primitives"`` or ``"meshes"``, see ``agym_jax.rendering.meshes``.
         config: weights and thresholds of the task, see ``agym_jax.make``.
-        episode_length: control steps of an episode, see ``agym_jax.make``.
-        robot: how robots vary, see ``agym_jax.make``.
+        episode_length: control steps per episode, see ``agym_jax.make``.
+        robot: variation of the robot, see ``agym_jax.make``.
 
     Raises:
-        UnknownNameError: there is no such id or setting, or there are no such looks.
-        MissingExtraError: the meshes' package is not installed: ``pip install "agym_jax[meshes]"``.
-        MeshError: this robot has no meshes, or they do not fit it.
-        RenderModeError: there is no such render mode.
-        ImplementationError: there is no such physics, or it is not installed.
-        ForkedProcessError: this process is a copy of one that has made an environment already.
-        ArgumentError: ``humans`` is no population, a setting or length makes no sense, or pictures have no pixels.
-        UnknownCameraError: there is no such camera.
+        UnknownNameError: if there is no such id or setting, or there are no such visuals.
+        MissingExtraError: if the meshes' package is not installed: ``pip install "agym_jax[meshes]"``.
+        MeshError: if this robot has no meshes, or they do not fit it.
+        RenderModeError: if there is no such render mode.
+        ImplementationError: if there is no such physics, or it is not installed.
+        ForkedProcessError: if this process was forked from one that has already made an environment.
+        ArgumentError: if ``humans`` is not a population, a setting or the length is invalid, or the image size is not
+            positive.
+        UnknownCameraError: if there is no such camera.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
@@ -118,7 +120,7 @@ class GymnasiumEnv(gymnasium.Env):
         self._pictures: tuple[Renderer, Any, Any] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but programs, which are found or compiled again, and windows of the renderer."""
+        """Return everything except the programs, which are looked up or compiled again, and the renderer's contexts."""
         kept = {name: x for name, x in vars(self).items() if name not in ("_programs", "_pictures")}
         return kept | {"_state": jax.device_get(self._state)}
 
@@ -128,26 +130,26 @@ class GymnasiumEnv(gymnasium.Env):
 
     @property
     def core(self) -> agym_jax.Env:
-        """The pure environment underneath."""
+        """The underlying pure environment."""
         return self._programs.env
 
     @property
     def state(self) -> agym_jax.State:
-        """The world as it is now.
+        """The current state of the environment.
 
         Raises:
-            gymnasium.error.ResetNeeded: there is none yet.
+            gymnasium.error.ResetNeeded: if ``reset`` has not been called yet.
         """
         return begun(self.core, self._state)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode: another person, goal and start.
+        """Begin an episode with a new person, goal and start.
 
         Args:
-            seed: of this episode and, through the generator, of those that follow.
-            options: none are known.
+            seed: seed of this episode and, through the generator, of those that follow.
+            options: not supported.
         """
         super().reset(seed=seed)
         refuse_options(self.core, options)
@@ -157,14 +159,14 @@ class GymnasiumEnv(gymnasium.Env):
         return np.array(self._state.obs), self._info(jax.device_get(self._state.metrics))
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One control step of 0.1 s.
+        """Advance the environment by one control step of 0.1 s.
 
         Args:
-            action: in [-1, 1]: robot's joints, then the active person's.
+            action: in [-1, 1]: the robot's joints, then those of the person if active.
 
         Raises:
-            ActionError: the action has another shape, or NaN or infinite entries.
-            gymnasium.error.ResetNeeded: the episode has not begun, or is over.
+            ActionError: if the action has a different shape, or NaN or infinite entries.
+            gymnasium.error.ResetNeeded: if the episode has not begun, or is over.
         """
         action = checked_actions(self.core, action, self.action_space.shape)
         if self._over:
@@ -180,7 +182,7 @@ class GymnasiumEnv(gymnasium.Env):
         return np.array(obs), float(reward), terminated, truncated, self._info(metrics)
 
     def render(self) -> np.ndarray | None:
-        """A picture, uint8 (height, width, 3), or None if made without a render mode."""
+        """Return an image, uint8 (height, width, 3), or None if made without a render mode."""
         if self.render_mode is None:
             spec_id = self.spec.id if self.spec else self.core.name
             gymnasium.logger.warn(
@@ -195,7 +197,7 @@ class GymnasiumEnv(gymnasium.Env):
         return renderer.render(data, self.core.markers(state))
 
     def close(self) -> None:
-        """Free the renderer; the compiled programs stay for other instances."""
+        """Free the renderer; compiled programs are kept for other instances."""
         self._forget_pictures()
 
     def _forget_pictures(self) -> None:
@@ -208,7 +210,7 @@ class GymnasiumEnv(gymnasium.Env):
 
 
 def register_envs() -> None:
-    """Make every id known to gymnasium; again after tasks or robots were added, as often as you like."""
+    """Register every id with Gymnasium; may be called again after tasks or robots were added."""
     agym_jax.register_envs()
 
 

@@ -1,10 +1,10 @@
-"""The environments with a human who acts as a ``pettingzoo.ParallelEnv``: agents robot and human.
+"""Environments with an active person as a ``pettingzoo.ParallelEnv`` with the agents robot and human.
 
     from agym_jax.adapters.pettingzoo import PettingZooEnv
     env = PettingZooEnv("ScratchItchJacoHuman-v0", render_mode="rgb_array")
 
-One world, NumPy in and out; each agent is given its own columns of the observation, and both the
-same reward. Needs the extra ``[pettingzoo]``.
+A single world, NumPy in and out; each agent receives its own columns of the observation, and both receive the same
+reward. Requires the extra ``[pettingzoo]``.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from agym_jax.registry import parse
 
 
 class PettingZooEnv(ParallelEnv):
-    """One environment of an environment in which robot and person act.
+    """A single environment in which both robot and person act, with PettingZoo's interface.
 
-    Episodes are truncated for both after 200 steps (``episode_length``); they terminate only when the physics fails.
+    Episodes are truncated for both agents after 200 steps (``episode_length``); they terminate only if the physics fails.
 
     Args:
-        env_id: as in ``agym_jax.list_envs()``, one with ``Human``.
+        env_id: environment id with ``Human`` in it, see ``agym_jax.list_envs()``.
         **options: see ``GymnasiumEnv``.
 
     Raises:
-        UnknownNameError: there is no such id.
-        SpecError: the person of that id does not act.
-        RenderModeError: there is no such render mode.
+        UnknownNameError: if there is no such id.
+        SpecError: if the person of that id does not act.
+        RenderModeError: if there is no such render mode.
     """
 
     # PettingZoo reads both from the class
@@ -73,25 +73,25 @@ class PettingZooEnv(ParallelEnv):
 
     @property
     def core(self) -> agym_jax.Env:
-        """The pure environment underneath."""
+        """The underlying pure environment."""
         return self._world.core
 
     def observation_space(self, agent: str) -> spaces.Space:
-        """What an agent sees."""
+        """Return the observation space of an agent."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space:
-        """What an agent can do."""
+        """Return the action space of an agent."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
-        """Begin an episode: another person, goal and start.
+        """Begin an episode with a new person, goal and start.
 
         Args:
-            seed: of this episode and, through the generator, of those that follow.
-            options: none are known; PettingZoo's own test gives some, so they do no harm.
+            seed: seed of this episode and, through the generator, of those that follow.
+            options: ignored; accepted because PettingZoo's own test passes some.
         """
         obs, info = self._world.reset(seed=seed)
         self.agents = list(self.possible_agents)
@@ -106,15 +106,15 @@ class PettingZooEnv(ParallelEnv):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """One control step of 0.1 s.
+        """Advance the environment by one control step of 0.1 s.
 
         Args:
-            actions: of both agents, in [-1, 1].
+            actions: actions of both agents, in [-1, 1].
 
         Raises:
-            ActionError: an agent is missing or unknown, or its action has another shape, or NaN or
-                infinite entries.
-            gymnasium.error.ResetNeeded: the episode has not begun, or is over.
+            ActionError: if an agent is missing or unknown, or its action has a different shape, or NaN or infinite
+                entries.
+            gymnasium.error.ResetNeeded: if the episode has not begun, or is over.
         """
         if not self.agents:
             raise ResetNeeded(f"{self.core.name}: call reset() to begin an episode.")
@@ -143,15 +143,15 @@ class PettingZooEnv(ParallelEnv):
         return result
 
     def state(self) -> np.ndarray:
-        """What both see, one after the other, for critics that may know all.
+        """Return the concatenated observations of both agents, for centralised critics.
 
         Raises:
-            gymnasium.error.ResetNeeded: there is no episode yet.
+            gymnasium.error.ResetNeeded: if no episode has begun yet.
         """
         return np.array(self._world.state.obs)
 
     def render(self) -> np.ndarray | None:
-        """A picture, uint8 (height, width, 3), or None if made without a render mode."""
+        """Return an image, uint8 (height, width, 3), or None if made without a render mode."""
         return self._world.render()
 
     def close(self) -> None:

@@ -1,11 +1,11 @@
-"""Many environments as rsl_rl's ``VecEnv``: what its runners train on.
+"""Batches of environments as rsl_rl's ``VecEnv``, for its runners.
 
     from agym_jax.adapters.rsl_rl import RslRlVecEnv
     env = RslRlVecEnv("ScratchItchJaco-v0", num_envs=4096)
     runner = OnPolicyRunner(env, config, log_dir, device=str(env.device))
 
-Observation groups are ``"policy"`` (all that agents observe) and, in tasks that have it, ``"privileged"`` (what value functions may
-see besides). Needs ``pip install rsl-rl-lib``.
+The observation groups are ``"policy"`` (everything that the agents observe) and, in tasks that have it, ``"privileged"``
+(additional inputs for value functions only). Requires ``pip install rsl-rl-lib``.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ except ImportError as error:
 
 
 class RslRlVecEnv(TrainerEnv, VecEnv):
-    """``num_envs`` environments of rsl_rl.
+    """``num_envs`` environments with rsl_rl's interface.
 
-    The end of an episode by its length is a time-out (``extras["time_outs"]``), for which rsl_rl adds the value of what would have
-    come; the success of episodes that end is logged as ``/success``. For arguments and errors see ``TrainerEnv``.
+    An episode that reaches its length is reported as a time-out (``extras["time_outs"]``), so that rsl_rl bootstraps its
+    value; the success of finished episodes is logged as ``/success``. For arguments and errors see ``TrainerEnv``.
     """
 
     def _prepare(self, seed: int | None) -> None:
@@ -41,7 +41,7 @@ class RslRlVecEnv(TrainerEnv, VecEnv):
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
-        """Steps done in each episode, int64 (num_envs,); rsl_rl sets them to begin at random times."""
+        """Steps taken in each episode, int64 (num_envs,); rsl_rl sets them to start episodes at random times."""
         return self.envs.clocks.long()
 
     @episode_length_buf.setter
@@ -49,7 +49,7 @@ class RslRlVecEnv(TrainerEnv, VecEnv):
         self.envs.clocks = steps
 
     def get_observations(self) -> TensorDict:
-        """What is observed now."""
+        """Return the current observations."""
         groups, privileged = {"policy": self.envs.observations}, self.envs.privileged
         if privileged is not None:
             groups["privileged"] = privileged
@@ -63,7 +63,7 @@ class RslRlVecEnv(TrainerEnv, VecEnv):
     def step(
         self, actions: torch.Tensor
     ) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """One control step; see ``TorchVectorEnv.step``.
+        """Advance all environments by one control step; see ``TorchVectorEnv.step``.
 
         Args:
             actions: (num_envs, n_action).

@@ -1,10 +1,10 @@
-"""Many environments as skrl's ``Wrapper``: what its trainers take in place of ``wrap_env(...)``.
+"""Batches of environments as skrl's ``Wrapper``, for its trainers; use it instead of ``wrap_env(...)``.
 
     from agym_jax.adapters.skrl import SkrlEnv
     env = SkrlEnv("ScratchItchJaco-v0", num_envs=4096)
     trainer = SequentialTrainer(env=env, agents=agent, cfg={"timesteps": 1000, "headless": True})
 
-Needs ``pip install skrl``.
+Requires ``pip install skrl``.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ except ImportError as error:
 
 
 class SkrlEnv(TrainerEnv, Wrapper):
-    """``num_envs`` environments of skrl.
+    """``num_envs`` environments with skrl's interface.
 
-    As in skrl's own wrappers of vectors, ``reset`` begins episodes once and then gives what is observed now. The success of
-    episodes that end is logged as ``Info / success``. For arguments and errors see ``TrainerEnv``.
+    As in skrl's own wrappers for vectorised environments, the first ``reset`` begins the episodes and later calls return
+    the current observations. The success of finished episodes is logged as ``Info / success``. For arguments and errors
+    see ``TrainerEnv``.
     """
 
     def _prepare(self, seed: int | None) -> None:
@@ -39,11 +40,11 @@ class SkrlEnv(TrainerEnv, Wrapper):
 
     @property
     def state_space(self) -> spaces.Box | None:
-        """Of what value functions may see: the observation and what nobody observes; None if there is nothing."""
+        """Space of the value functions' input, observations and privileged observations; None if the task has no latter."""
         return self._state_space
 
     def reset(self) -> tuple[torch.Tensor, dict[str, Any]]:
-        """What is observed now; at first, in new episodes."""
+        """Return the current observations; the first call begins the episodes."""
         if not self._begun:
             self.envs.reset(self._seed)
             self._begun = True
@@ -52,7 +53,9 @@ class SkrlEnv(TrainerEnv, Wrapper):
     def step(
         self, actions: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """One control step; see ``TorchVectorEnv.step``. Rewards and ends have the shape (num_envs, 1).
+        """Advance all environments by one control step; see ``TorchVectorEnv.step``.
+
+        Rewards and termination flags have the shape (num_envs, 1).
 
         Args:
             actions: (num_envs, n_action).
@@ -64,12 +67,12 @@ class SkrlEnv(TrainerEnv, Wrapper):
         return obs, rewards[:, None], terminated[:, None], truncated[:, None], info
 
     def state(self) -> torch.Tensor | None:
-        """What value functions may see (num_envs, n); None if that is the observation."""
+        """Return the value functions' input (num_envs, n); None if it is the same as the observation."""
         privileged = self.envs.privileged
         return None if privileged is None else torch.cat([self.envs.observations, privileged], 1)
 
     def render(self, *args: Any, **kwargs: Any) -> None:
-        """Nothing: ``agym-jax enjoy`` and ``gymnasium.make(id, render_mode="rgb_array")`` make pictures."""
+        """Do nothing; use ``agym-jax enjoy`` or ``gymnasium.make(id, render_mode="rgb_array")`` for images."""
 
 
 __all__ = ["SkrlEnv"]

@@ -1,10 +1,10 @@
-"""A vector of ``gymnasium.make_vec`` as Stable-Baselines3's ``VecEnv``.
+"""A vector environment from ``gymnasium.make_vec`` as Stable-Baselines3's ``VecEnv``.
 
     from agym_jax.adapters.stable_baselines3 import StableBaselinesVecEnv
     env = StableBaselinesVecEnv(gymnasium.make_vec("ScratchItchJaco-v0", num_envs=64))
     PPO("MlpPolicy", env).learn(100_000)
 
-Needs ``pip install stable-baselines3``.
+Requires ``pip install stable-baselines3``.
 """
 
 from __future__ import annotations
@@ -26,15 +26,16 @@ except ImportError as error:
 
 
 class StableBaselinesVecEnv(VecEnv):
-    """A vector of environments in Stable-Baselines3.
+    """A vector environment with Stable-Baselines3's interface.
 
-    Of an episode that ends, ``infos`` have ``terminal_observation``, ``TimeLimit.truncated`` and ``is_success``.
+    When an episode ends, its entry of ``infos`` contains ``terminal_observation``, ``TimeLimit.truncated`` and
+    ``is_success``.
 
     Args:
-        envs: from ``gymnasium.make_vec(id, num_envs=...)``.
+        envs: vector environment from ``gymnasium.make_vec(id, num_envs=...)``.
 
     Raises:
-        ArgumentError: it is something else.
+        ArgumentError: if ``envs`` is something else.
     """
 
     def __init__(self, envs: Any):
@@ -48,18 +49,18 @@ class StableBaselinesVecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> np.ndarray:
-        """Begin an episode in every environment, from the seeds of ``seed()`` if there are any."""
+        """Begin an episode in every environment, with the seeds set by ``seed()`` if any."""
         given = [one for one in self._seeds if one is not None]
         obs, _ = self.envs.reset(seed=self._seeds if given else None)
         self._reset_seeds()
         return obs
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take note of the actions (num_envs, n_action)."""
+        """Store the actions for ``step_wait`` (num_envs, n_action)."""
         self._actions = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Step all environments; observations, rewards, ends and infos."""
+        """Step all environments; return observations, rewards, dones and infos."""
         obs, rewards, terminated, truncated, info = self.envs.step(self._actions)
         ended = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -72,21 +73,21 @@ class StableBaselinesVecEnv(VecEnv):
         return obs, rewards.astype(np.float32), ended, infos
 
     def close(self) -> None:
-        """Close the vector."""
+        """Close the vector environment."""
         self.envs.close()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """A picture of each environment."""
+        """Return an image of each environment."""
         return self.envs.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """An attribute of the vector, once for each environment."""
+        """Return an attribute of the vector environment, repeated for each environment."""
         return [getattr(self.envs, attr_name)] * len(self._indices(indices))
 
     def set_attr(
         self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None
     ) -> None:
-        """Refused: environments of a vector have no attributes of their own.
+        """Not supported: the environments of a vector have no attributes of their own.
 
         Raises:
             AttributeError: always.
@@ -98,7 +99,7 @@ class StableBaselinesVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: int | Iterable[int] | None = None, **method_kwargs: Any
     ) -> list[Any]:  # fmt: skip
-        """Refused: environments of a vector have no methods of their own.
+        """Not supported: the environments of a vector have no methods of their own.
 
         Raises:
             AttributeError: always.
@@ -110,7 +111,7 @@ class StableBaselinesVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type, indices: int | Iterable[int] | None = None
     ) -> list[bool]:
-        """None is: what wraps them wraps all of them."""
+        """Return False for each environment: wrappers apply to the whole vector only."""
         return [False] * len(self._indices(indices))
 
     def _indices(self, indices: int | Iterable[int] | None) -> list[int]:

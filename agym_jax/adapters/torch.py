@@ -1,12 +1,13 @@
-"""Many environments with PyTorch's tensors in and out, which share the memory of JAX's arrays: nothing is copied.
+"""Batches of environments with PyTorch tensors in and out, which share memory with JAX's arrays: nothing is copied.
 
     from agym_jax.adapters.torch import TorchVectorEnv
     envs = TorchVectorEnv("ScratchItchJaco-v0", num_envs=4096)
     obs, info = envs.reset(seed=0)
     obs, reward, terminated, truncated, info = envs.step(actions)
 
-On an NVIDIA GPU the physics is MuJoCo Warp's and all tensors stay on the GPU (DLPack); on a CPU it is C MuJoCo's, in threads. For
-rsl_rl, skrl and Stable-Baselines3 see the modules of their names beside this one. Needs the extra ``[torch]``.
+On an NVIDIA GPU the physics is MuJoCo Warp and all tensors stay on the GPU (DLPack); on a CPU it is multi-threaded
+C MuJoCo. For rsl_rl, skrl and Stable-Baselines3, see the modules of those names in this package. Requires the extra
+``[torch]``.
 """
 
 from __future__ import annotations
@@ -38,24 +39,24 @@ except ImportError as error:
 
 
 class TorchVectorEnv:
-    """``num_envs`` environments, stepped together; what ends begins anew, as somebody else, in the same step.
+    """``num_envs`` environments stepped together; a finished episode is replaced in the same step, with a new person.
 
-    The observation of a step in which an episode ended is the first of the next one; ``info["final_observation"]`` has the true
-    last one. Seeds mean what they mean to ``gymnasium.make_vec``. Tensors share memory with arrays of JAX or NumPy, and some with each
-    other: clone what you want to change in place.
+    In a step that ends an episode, the observation is the first of the next episode; ``info["final_observation"]`` has
+    the last observation of the finished one. Seeds work as in ``gymnasium.make_vec``. Tensors share memory with JAX or
+    NumPy arrays, and some of them with each other: clone those that you want to modify in place.
 
     Args:
-        env: id, as in ``agym_jax.list_envs()``, or an environment of ``agym_jax.make``, whose settings then hold. Several
-            batches of one such environment share what is compiled.
-        num_envs: how many.
-        impl: physics, see ``agym_jax.make``; ``"auto"`` is ``"native"`` on a CPU. Only with an id.
-        **settings: more of ``agym_jax.make``'s, such as ``humans``. Only with an id.
+        env: environment id, see ``agym_jax.list_envs()``, or an environment from ``agym_jax.make``, whose settings are
+            used. Several batches of one such environment share the compiled programs.
+        num_envs: number of environments.
+        impl: physics implementation, see ``agym_jax.make``; ``"auto"`` means ``"native"`` on a CPU. Only with an id.
+        **settings: further arguments of ``agym_jax.make``, such as ``humans``. Only with an id.
 
     Raises:
-        UnknownNameError: there is no such id.
-        ArgumentError: a number of environments or a setting that makes no sense.
-        ImplementationError: there is no such physics, or PyTorch cannot use the device that it runs on.
-        ForkedProcessError: this process is a copy of one that has made an environment already.
+        UnknownNameError: if there is no such id.
+        ArgumentError: if the number of environments or a setting is invalid.
+        ImplementationError: if there is no such physics, or PyTorch cannot use the device that it runs on.
+        ForkedProcessError: if this process was forked from one that has already made an environment.
     """
 
     def __init__(
@@ -83,32 +84,32 @@ class TorchVectorEnv:
 
     @property
     def core(self) -> agym_jax.Env:
-        """The pure environment underneath."""
+        """The underlying pure environment."""
         return self.envs.env
 
     @property
     def state(self) -> agym_jax.State:
-        """All environments as they are now, in JAX's or NumPy's arrays (num_envs, ...).
+        """The current state of all environments, in JAX or NumPy arrays (num_envs, ...).
 
         Raises:
-            gymnasium.error.ResetNeeded: there is none yet.
+            gymnasium.error.ResetNeeded: if ``reset`` has not been called yet.
         """
         return begun(self.core, self._carried).state(self._arrays)
 
     @property
     def observations(self) -> torch.Tensor:
-        """What is observed now (num_envs, n_obs)."""
+        """Current observations (num_envs, n_obs)."""
         return self.tensor(self.state.obs)
 
     @property
     def privileged(self) -> torch.Tensor | None:
-        """What value functions may see besides (num_envs, n_privileged); None where there is nothing."""
+        """Privileged observations for value functions (num_envs, n_privileged); None if the task has none."""
         extra = self.state.privileged_obs
         return None if extra is None else self.tensor(extra)
 
     @property
     def clocks(self) -> torch.Tensor:
-        """Steps done in each episode, int32 (num_envs,)."""
+        """Steps taken in each episode, int32 (num_envs,)."""
         return self.tensor(self.state.episode.step)
 
     @clocks.setter
@@ -122,11 +123,11 @@ class TorchVectorEnv:
         """Begin an episode in every environment.
 
         Args:
-            seed: of the first environment, the next ones have the numbers after it. None: random at first, and then what
-                follows from the seed before.
+            seed: seed of the first environment; the others use the numbers after it. None: random on the first reset,
+                afterwards determined by the previous seed.
 
         Returns:
-            What is observed (num_envs, n_obs), and an info as that of ``step``.
+            Observations (num_envs, n_obs), and an info as returned by ``step``.
         """
         if seed is not None:
             self._seeds = gymnasium.utils.seeding.np_random(seed)[0]
@@ -141,20 +142,22 @@ class TorchVectorEnv:
     def step(
         self, actions: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """One control step of 0.1 s of every environment.
+        """Advance every environment by one control step of 0.1 s.
 
         Args:
-            actions: in [-1, 1], clipped (num_envs, n_action). On a GPU nobody looks whether they are finite: NaN and infinity
-                act as 0.
+            actions: clipped to [-1, 1] (num_envs, n_action). On a GPU they are not checked for finite values: NaN and
+                infinity act as 0.
 
         Returns:
-            Observations (num_envs, n_obs), rewards (num_envs,), and where episodes ended by a failure of the physics
-            and by their length, bool (num_envs,). The info has ``final_observation`` (num_envs, n_obs) and ``metrics``,
-            which names rewards' terms, forces and ``success`` as ``State.metrics`` does, each (num_envs,).
+            Observations (num_envs, n_obs), rewards (num_envs,), whether episodes terminated because the physics failed, and
+            whether they were truncated at their length, bool (num_envs,). The info has ``final_observation``
+            (num_envs, n_obs) and ``metrics``, with the reward terms, forces and ``success`` under the names used in
+            ``State.metrics``, each (num_envs,).
 
         Raises:
-            ActionError: they are no tensor, have another shape or device, or (on a CPU) NaN or infinite entries.
-            gymnasium.error.ResetNeeded: nothing has begun.
+            ActionError: if they are not a tensor, have a different shape or device, or (on a CPU) NaN or infinite
+                entries.
+            gymnasium.error.ResetNeeded: if ``reset`` has not been called yet.
         """
         begun(self.core, self._carried)
         action = self.array(self._checked(actions))
@@ -164,27 +167,27 @@ class TorchVectorEnv:
         return obs, reward, terminated, truncated, self._info(final)
 
     def tensor(self, array: Any) -> torch.Tensor:
-        """An array of the state as a tensor on ``device`` that shares its memory."""
+        """Return an array of the state as a tensor on ``device`` that shares its memory."""
         return torch.from_numpy(array) if self._native else torch.from_dlpack(array)
 
     def array(self, tensor: torch.Tensor) -> Any:
-        """A tensor on ``device`` as an array that shares its memory, for ``state``."""
+        """Return a tensor on ``device`` as an array that shares its memory, for use in ``state``."""
         tensor = tensor.detach()
         return tensor.numpy() if self._native else jnp.from_dlpack(tensor.contiguous())
 
     def close(self) -> None:
-        """Nothing is left to close; what libraries call in the end."""
+        """Do nothing; provided for libraries that call it."""
 
     def _go_on_from(self, state: Any) -> None:
         self._carried = self._carried or Carried(state)
         self._arrays = self._carried.arrays(state)
 
     def _stepped(self, arrays: list[Any], action: Any) -> tuple[list[Any], Any]:
-        """The arrays of the next state, and what ``step`` tells of it.
+        """Return the arrays of the next state, and the results that ``step`` reports.
 
-        That is observations and final ones (num_envs, n_obs), rewards, and where episodes ended by a failure and by their
-        length (num_envs,); but on an accelerator all of it is one array, as every array that becomes a tensor and every
-        kernel of PyTorch's takes time of the thread that also starts the physics.
+        These are observations and final observations (num_envs, n_obs), rewards, and whether episodes terminated or were
+        truncated (num_envs,). On an accelerator they are packed into one array, because every array that is converted to a
+        tensor and every PyTorch kernel costs time on the thread that also launches the physics.
         """
         state = self.envs.step(self._carried.state(arrays), action)
         truncated = state.info["truncation"] > 0
@@ -193,7 +196,7 @@ class TorchVectorEnv:
         return self._carried.arrays(state), told if self._native else packed(told)
 
     def _unpacked(self, told: torch.Tensor) -> Iterator[torch.Tensor]:
-        """What ``_stepped`` tells, as views of what ``packed`` has made of it."""
+        """Return the results of ``_stepped`` as views of the array made by ``packed``."""
         n, width = self.num_envs, self.core.observation_size
         words = [n * width, n * width, n, -(-n // 4), -(-n // 4)]
         obs, final, reward, *ends = told.split(words)
@@ -231,12 +234,12 @@ class TorchVectorEnv:
 
 
 class TrainerEnv(ABC):
-    """``num_envs`` environments behind the interface of a library that trains.
+    """Base class of ``num_envs`` environments with the interface of a training library.
 
     Args:
         env: see ``TorchVectorEnv``.
-        num_envs: how many.
-        seed: of the first episodes, and of those that follow.
+        num_envs: number of environments.
+        seed: seed of the first episodes, which also determines those that follow.
         **settings: see ``TorchVectorEnv``.
 
     Raises:
@@ -258,7 +261,7 @@ class TrainerEnv(ABC):
 
     @abstractmethod
     def _prepare(self, seed: int | None) -> None:
-        """What the library expects of an object that is made."""
+        """Set up what the library expects of a new object."""
 
     def close(self) -> None:
         """See ``TorchVectorEnv``."""
@@ -266,10 +269,10 @@ class TrainerEnv(ABC):
 
 
 class Tensors(Mapping[str, torch.Tensor]):
-    """The metrics of a state, which become tensors when they are read.
+    """The metrics of a state, converted to tensors when they are read.
 
     Args:
-        tensor: makes a tensor of an array.
+        tensor: converts an array to a tensor.
         state: returns the state.
     """
 
@@ -287,7 +290,7 @@ class Tensors(Mapping[str, torch.Tensor]):
 
 
 def packed(arrays: Iterable[jax.Array]) -> jax.Array:
-    """The bits of arrays one after the other, int32 (n,): four entries of a bool array in each, one of another."""
+    """Concatenate the bits of arrays, int32 (n,): each holds four entries of a bool array, or one of any other array."""
 
     def words(array: jax.Array) -> jax.Array:
         array = jnp.ravel(array)
@@ -302,16 +305,16 @@ def packed(arrays: Iterable[jax.Array]) -> jax.Array:
 def success_of_ended(
     info: Mapping[str, Any], terminated: torch.Tensor, truncated: torch.Tensor
 ) -> torch.Tensor | None:
-    """Share of successes among the episodes that ended in a step (); None if none did."""
+    """Return the success rate of the episodes that ended in a step (); None if none did."""
     ended = terminated | truncated
     return info["metrics"]["success"][ended].mean() if ended.any() else None
 
 
 def _device() -> torch.device:
-    """Where JAX's arrays are, in PyTorch's words.
+    """Return the device of JAX's arrays as a PyTorch device.
 
     Raises:
-        ImplementationError: PyTorch cannot use it.
+        ImplementationError: if PyTorch cannot use it.
     """
     platform = jax.default_backend()
     if platform == "cpu":

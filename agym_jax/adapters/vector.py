@@ -1,9 +1,9 @@
-"""Many environments as one ``gymnasium.vector.VectorEnv``: NumPy in and out, restarted as somebody else when they end.
+"""Batches of environments as a ``gymnasium.vector.VectorEnv``: NumPy in and out, with a new person in every episode.
 
     import agym_jax, gymnasium
     envs = gymnasium.make_vec("ScratchItchJaco-v0", num_envs=64)
 
-On a CPU the physics is C MuJoCo's, in threads; on an NVIDIA GPU it is MuJoCo Warp's. Code that knows JAX is faster with
+On a CPU the physics is multi-threaded C MuJoCo; on an NVIDIA GPU it is MuJoCo Warp. JAX code is faster with
 ``agym_jax.wrappers.vectorize``, whose arrays stay on the device.
 """
 
@@ -39,7 +39,7 @@ from agym_jax.wrappers import vectorize
 
 
 class _Programs(NamedTuple):
-    """A batch and its functions, compiled where they can be; all of a size that are made of the same share them."""
+    """A batch and its functions, compiled where possible; shared by all batches of the same size and arguments."""
 
     envs: Any
     reset: Any
@@ -55,35 +55,36 @@ def _programs(recipe: Recipe, num_envs: int) -> _Programs:
 
 
 class GymnasiumVectorEnv(VectorEnv):
-    """``num_envs`` environments, stepped together.
+    """``num_envs`` environments stepped together, with Gymnasium's interface.
 
-    An episode that ends begins anew in the same step (``AutoresetMode.SAME_STEP``): the observation is then the first of
-    the next episode, and ``info["final_obs"]`` and ``info["final_info"]`` have the last of the one that ended, where
-    ``info["_final_obs"]`` holds. Other entries of ``info`` are those of ``GymnasiumEnv`` in this step, an array each.
-    Gymnasium's wrappers of observations take only vectors that begin anew in the next step.
+    A finished episode is followed by a new one in the same step (``AutoresetMode.SAME_STEP``): the observation is then
+    the first of the new episode, and ``info["final_obs"]`` and ``info["final_info"]`` have the last of the finished
+    one, wherever ``info["_final_obs"]`` is true. The other entries of ``info`` are those of ``GymnasiumEnv`` for this
+    step, as arrays. Gymnasium's observation wrappers support only vector environments that reset in the next step.
 
-    The first episode of an environment with seed s is that of ``GymnasiumEnv.reset(seed=s)``, and so is its course (bit by bit
-    with C MuJoCo, but for Feeding, Drinking and Dressing, which one environment computes in another order). The episodes after it are others than those of ``GymnasiumEnv``, and decided by the seed as well.
+    The first episode of an environment with seed s is the same as after ``GymnasiumEnv.reset(seed=s)`` and develops
+    identically (bit for bit with C MuJoCo, except in Feeding, Drinking and Dressing, where a single environment computes in
+    a different order). Later episodes differ from those of ``GymnasiumEnv``, but are determined by the seed as well.
 
     Args:
-        env_id: as in ``agym_jax.list_envs()``.
-        num_envs: how many.
-        render_mode: ``"rgb_array"``, or None for no pictures.
-        impl: physics, see ``agym_jax.make``; ``"auto"`` is ``"native"`` on a CPU.
-        humans: the population, see ``agym_jax.make``.
-        width: of pictures [pixels].
-        height: of pictures [pixels].
+        env_id: environment id, see ``agym_jax.list_envs()``.
+        num_envs: number of environments.
+        render_mode: ``"rgb_array"``, or None for no rendering.
+        impl: physics implementation, see ``agym_jax.make``; ``"auto"`` means ``"native"`` on a CPU.
+        humans: population, see ``agym_jax.make``.
+        width: image width [pixels].
+        height: image height [pixels].
         camera: name or number of the camera.
-        visuals: of the robot in pictures, see ``agym_jax.rendering.meshes``.
+        visuals: appearance of the robot, see ``agym_jax.rendering.meshes``.
         config: weights and thresholds of the task, see ``agym_jax.make``.
-        episode_length: control steps of an episode, see ``agym_jax.make``.
-        robot: how robots vary, see ``agym_jax.make``.
+        episode_length: control steps per episode, see ``agym_jax.make``.
+        robot: variation of the robot, see ``agym_jax.make``.
 
     Raises:
-        UnknownNameError: there is no such id or setting, or there are no such looks.
-        ArgumentError: a number of environments, a population, a setting, a length or a size of pictures that makes no sense.
-        RenderModeError: there is no such render mode.
-        ImplementationError: there is no such physics, or it is not installed.
+        UnknownNameError: if there is no such id or setting, or there are no such visuals.
+        ArgumentError: if the number of environments, the population, a setting, the length or the image size is invalid.
+        RenderModeError: if there is no such render mode.
+        ImplementationError: if there is no such physics, or it is not installed.
     """
 
     metadata = {  # noqa: RUF012
@@ -122,15 +123,15 @@ class GymnasiumVectorEnv(VectorEnv):
 
     @property
     def core(self) -> agym_jax.Env:
-        """The pure environment underneath."""
+        """The underlying pure environment."""
         return self._programs.envs.env
 
     @property
     def state(self) -> agym_jax.State:
-        """All environments as they are now (num_envs, ...).
+        """The current state of all environments (num_envs, ...).
 
         Raises:
-            gymnasium.error.ResetNeeded: there is none yet.
+            gymnasium.error.ResetNeeded: if ``reset`` has not been called yet.
         """
         return begun(self.core, self._state)
 
@@ -143,13 +144,13 @@ class GymnasiumVectorEnv(VectorEnv):
         """Begin an episode in every environment.
 
         Args:
-            seed: of the first environment, the next ones have the numbers after it; or one for each, where None is a
-                random one; or None: random at first, and then what follows from the seed before.
-            options: none are known.
+            seed: seed of the first environment, the others using the numbers after it; or one seed per environment,
+                None being a random one; or None: random on the first reset, afterwards determined by the previous seed.
+            options: not supported.
 
         Raises:
-            ArgumentError: as many seeds as there are no environments.
-            AgymError: there are options.
+            ArgumentError: if the number of seeds is not the number of environments.
+            AgymError: if options are given.
         """
         refuse_options(self.core, options)
         if isinstance(seed, (int, np.integer)):
@@ -170,14 +171,14 @@ class GymnasiumVectorEnv(VectorEnv):
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One control step of 0.1 s of every environment; what ends begins anew.
+        """Advance every environment by one control step of 0.1 s; finished episodes are replaced by new ones.
 
         Args:
             actions: in [-1, 1] (num_envs, action_size).
 
         Raises:
-            ActionError: they have another shape, or NaN or infinite entries.
-            gymnasium.error.ResetNeeded: nothing has begun.
+            ActionError: if they have a different shape, or NaN or infinite entries.
+            gymnasium.error.ResetNeeded: if ``reset`` has not been called yet.
         """
         actions = checked_actions(self.core, actions, self.action_space.shape)
         self._state = s = self._programs.step(self.state, actions)
@@ -192,7 +193,7 @@ class GymnasiumVectorEnv(VectorEnv):
         return np.array(obs), reward.astype(np.float64), done & ~truncated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """A picture of each environment, uint8 (height, width, 3), or None if made without a render mode."""
+        """Return an image of each environment, uint8 (height, width, 3), or None if made without a render mode."""
         if self.render_mode is None:
             return None
         state = jax.device_get(self.state)
@@ -206,7 +207,7 @@ class GymnasiumVectorEnv(VectorEnv):
             return renderer.render(data, self.core.markers(state))
 
     def _info(self, metrics: dict[str, Any]) -> dict[str, Any]:
-        """The infos of all environments, with Gymnasium's masks of who has them."""
+        """Return the infos of all environments, with Gymnasium's masks of the environments that have them."""
         none = np.zeros(self.num_envs, int)
         real = lambda x: np.asarray(x, float)  # noqa: E731
         info = info_of(metrics, self._lengths, real, lambda x: none + x)
@@ -215,7 +216,7 @@ class GymnasiumVectorEnv(VectorEnv):
     def _after_reset(
         self, info: dict[str, Any], final: np.ndarray, done: np.ndarray
     ) -> dict[str, Any]:
-        """Infos of a step in which episodes ended, whose infos are the final ones."""
+        """Return the infos of a step in which episodes ended; the infos of those episodes become the final ones."""
         last = np.full(self.num_envs, None, object)
         for i in np.flatnonzero(done):
             last[i] = final[i].copy()
@@ -227,7 +228,7 @@ class GymnasiumVectorEnv(VectorEnv):
 
 
 def _only(info: dict[str, Any], where: np.ndarray) -> dict[str, Any]:
-    """Infos without masks, 0 where no episode ended."""
+    """Return infos without masks, with 0 where no episode ended."""
     return {
         name: _only(x, where) if isinstance(x, dict) else np.where(where, x, np.zeros_like(x))
         for name, x in info.items()
@@ -236,7 +237,7 @@ def _only(info: dict[str, Any], where: np.ndarray) -> dict[str, Any]:
 
 
 def _masked(info: dict[str, Any], where: np.ndarray) -> dict[str, Any]:
-    """Infos with a mask ``_name`` beside each, as Gymnasium's own vectors have them."""
+    """Return infos with a mask ``_name`` beside each, as in Gymnasium's own vector environments."""
     out: dict[str, Any] = {}
     for name, x in info.items():
         out[name] = _masked(x, where) if isinstance(x, dict) else x

@@ -1,17 +1,19 @@
-"""Regions of the body, and the forces that robot and tools may press them with.
+"""Regions of the body, and limits on the forces that the robot and its tools may exert on them.
 
-Two kinds of limits, for each region: what industrial robots must not exceed, because it begins to hurt
-(``Region.quasi_static``, ``Region.transient``), and what is comfortable in care (``Region.comfort``), which a task may
-set for itself (``spec.Comfortable``). An episode is a *gentle* success if it is a success and no step of it was above
-the comfort limit.
+Each region has two kinds of limits: those that industrial robots must not exceed, because pain begins there
+(``Region.quasi_static``, ``Region.transient``), and a limit of what is comfortable in care (``Region.comfort``), which a
+task may override (``spec.Comfortable``). An episode is a *gentle* success if it is a success and none of its steps
+exceeded a comfort limit.
 
-What counts: normal forces of all contacts of the robot and its tools with the person, summed over each region, left and
-right together, which is strict. Not the seat or bed that bears the person, nor the gown (Dressing observes its force).
+The forces are the normal forces of all contacts of the robot and its tools with the person, summed over each region, with
+left and right added together, which is strict. Forces of the seat or bed that supports the person do not count, nor do
+those of the gown (Dressing observes its force).
 
-Two numbers for each control step of 0.1 s. The *peak* is the largest force of its physics steps, 0.01 or 0.02 s each: contacts have
-a time constant of 0.04 s (``sim.contacts.SOLREF``), so that no impact is shorter, whereas a mean over 0.1 s would hide
-two thirds of it. It is held against the comfort limit and the limit of transient contact. The *mean* is held against the
-limit of quasi-static contact, which ISO asks for after 0.5 s only: here every 0.1 s count.
+Each control step of 0.1 s yields two values. The *peak* is the largest force in any of its physics steps, of 0.01 or
+0.02 s each: contacts have a time constant of 0.04 s (``sim.contacts.SOLREF``), so that no impact is shorter, whereas a
+mean over 0.1 s would hide two thirds of it. It is compared with the comfort limit and the limit for transient contact.
+The *mean* is compared with the limit for quasi-static contact, which ISO applies only after 0.5 s; here it applies to
+every 0.1 s.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from agym_jax.spec import Comfortable
 
 
 class Region(NamedTuple):
-    """A region of the body and the forces that it bears [N]."""
+    """A region of the body and its force limits [N]."""
 
     name: str
     shapes: tuple[str, ...]  # of the body, without "left_" and "right_"
@@ -40,12 +42,13 @@ class Region(NamedTuple):
 
 
 HEAD, LIMB = 10.0, 20.0
-"""Comfort limits [N]; estimates, as nobody has measured what people who are helped bear gladly all over the body.
+"""Comfort limits [N]. These are estimates: nobody has measured which forces people receiving care find comfortable over
+the whole body.
 
-Head: people without impairments who chose how hard a robot might shave and wipe their face allowed 11.1 and 36.4 N at most
+Head: people without impairments who chose how hard a robot might shave and wipe their face allowed at most 11.1 and 36.4 N
 (Proc IMechE H 237(7):829, 2023); a spoon or cup at the lips needs less than a shaver.
-Limbs and trunk: twice that. A robot that wiped limbs of a person in bed needed less than 3 N (King et al., IROS 2010), and Assistive
-Gym calls 10 N at the target high; 20 N is the weight of a forearm and hand that rest on one.
+Limbs and trunk: twice as much. A robot that wiped the limbs of a person in bed needed less than 3 N (King et al., IROS
+2010), and Assistive Gym regards 10 N at the target as high; 20 N is the weight of a resting forearm and hand.
 """
 
 # Of ISO/TS 15066:2016, table A.2, since 2025 in ISO 10218-2; from secondary sources (integrators' tables; BG/BGIA 2011, which
@@ -65,7 +68,7 @@ REGIONS: tuple[Region, ...] = (
     Region("thigh", ("thigh",), 220.0, 440.0, LIMB),
     Region("lower leg", ("shin", "foot"), 130.0, 260.0, LIMB),
 )
-"""Every shape of the body belongs to one of them."""
+"""The regions; every shape of the body belongs to one of them."""
 
 NAMES = tuple(region.name for region in REGIONS)
 QUASI_STATIC = np.array([region.quasi_static for region in REGIONS], np.float32)
@@ -76,13 +79,13 @@ REGION_OF: dict[str, int] = {
     for i, region in enumerate(REGIONS)
     if shape.removeprefix("left_").removeprefix("right_") in region.shapes
 }
-"""Shape of the body -> row in ``REGIONS``."""
+"""Body shape -> row in ``REGIONS``."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class RegionForces:
-    """Normal force of robot and tools on each of ``REGIONS`` during one control step."""
+    """Normal force of the robot and its tools on each of ``REGIONS`` during one control step."""
 
     both: (
         Array  # in one array, as each that enters C MuJoCo's stages costs time (..., 2, n_regions)
@@ -90,46 +93,46 @@ class RegionForces:
 
     @classmethod
     def of(cls, mean: Any, peak: Any, xp: Any = jnp) -> RegionForces:
-        """From means and peaks (..., n_regions)."""
+        """Make from means and peaks (..., n_regions)."""
         return cls(xp.stack([mean, peak], axis=-2))
 
     @property
     def mean(self) -> Array:
-        """Over the physics steps of the control step [N] (..., n_regions)."""
+        """Mean force over the physics steps of the control step [N] (..., n_regions)."""
         return self.both[..., 0, :]
 
     @property
     def peak(self) -> Array:
-        """The largest of its physics steps [N] (..., n_regions)."""
+        """Largest force in any physics step of the control step [N] (..., n_regions)."""
         return self.both[..., 1, :]
 
     def of_comfort(self, comfort: Any) -> Array:
-        """The largest share of its comfort limit that a region bears; above 1 it is exceeded ().
+        """Return the largest ratio of a region's force to its comfort limit; above 1, a limit is exceeded ().
 
         Args:
-            comfort: from ``comfort_limits``.
+            comfort: result of ``comfort_limits``.
         """
         return jnp.max(self.peak / comfort)
 
     def of_limit(self) -> Array:
-        """The largest share of its ISO limits that a region bears; above 1 one is exceeded ()."""
+        """Return the largest ratio of a region's force to its ISO limits; above 1, a limit is exceeded ()."""
         return jnp.max(jnp.maximum(self.peak / TRANSIENT, self.mean / QUASI_STATIC))
 
 
 def no_forces() -> RegionForces:
-    """Nobody touches the person."""
+    """Return zero forces on all regions."""
     return RegionForces(jnp.zeros((2, len(REGIONS))))
 
 
 def comfort_limits(task: Any) -> np.ndarray:
-    """The comfort limit of each region in a task [N] (n_regions,).
+    """Return the comfort limit of each region in a task [N] (n_regions,).
 
     Args:
-        task: any; its own limits count if it is ``Comfortable``.
+        task: any task; its own limits apply if it is ``Comfortable``.
 
     Raises:
-        UnknownNameError: it names a region that there is not.
-        SpecError: a limit is not greater than 0.
+        UnknownNameError: if it names a region that does not exist.
+        SpecError: if a limit is not greater than 0.
     """
     own = dict(task.comfort) if isinstance(task, Comfortable) else {}
     for name, limit in own.items():

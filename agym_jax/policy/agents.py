@@ -1,7 +1,7 @@
-"""Who acts: what each agent sees and moves, baselines, and a robot's policy beside a person's.
+"""The agents: what each one observes and controls, baseline policies, and pairs of robot and person policies.
 
-All that acts is a JAX tree that is called like a ``Policy``, so that a compiled evaluation serves all
-policies of the same shape.
+Every policy is a JAX pytree that is called like a ``Policy``, so that one compiled evaluation serves all policies of
+the same shape.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from agym_jax.policy.policy import Policy
 
 BASELINES = ("zero", "random")
 AnyPolicy = Callable[..., jax.Array]
-"""``(obs, key, deterministic) -> action``: a policy, or a function like one."""
+"""``(obs, key, deterministic) -> action``: a policy, or a function with the same signature."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """What belongs to one agent: columns of the observation and entries of the action.
+    """The observation columns and action entries that belong to one agent.
 
     Attributes:
-        observed: columns of the whole observation.
-        acted: entries of the whole action.
-        layout: version of its observation's layout.
-        former_layout: the same before its columns were renamed; None if nobody knows.
+        observed: its columns of the full observation.
+        acted: its entries of the full action.
+        layout: version of its observation layout.
+        former_layout: version before the columns were renamed; None if unknown.
     """
 
     observed: slice
@@ -41,14 +41,14 @@ class Part:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Columns of the observation, entries of the action."""
+        """Number of observation columns and of action entries."""
         return self.observed.stop - self.observed.start, self.acted.stop - self.acted.start
 
 
 def parts(env: Any) -> dict[str, Part]:
-    """What belongs to "robot" and "human", and to "joint", which is both at once.
+    """Return the parts of "robot", "human", and "joint" (both together).
 
-    Where only the robot acts, all is the robot's.
+    If only the robot acts, everything belongs to the robot.
     """
     n, m = env.observation_size, env.action_size
     task, alone = getattr(env, "task", None), len(env.action_sizes) < 2
@@ -71,23 +71,23 @@ def parts(env: Any) -> dict[str, Part]:
 @partial(jax.tree_util.register_dataclass, data_fields=[], meta_fields=["name", "action_size"])
 @dataclass(frozen=True)
 class Baseline:
-    """``"zero"`` does nothing, ``"random"`` anything in [-1, 1], uniformly."""
+    """A baseline policy: ``"zero"`` does nothing, ``"random"`` draws actions uniformly from [-1, 1]."""
 
     name: str
     action_size: int
 
     @property
     def info(self) -> dict[str, Any]:
-        """Where it came from: nowhere."""
+        """Provenance, which is empty for a baseline."""
         return {}
 
     def __call__(
         self, obs: jax.Array, key: jax.Array | None = None, deterministic: bool = True
     ) -> jax.Array:
-        """The action for an observation.
+        """Return the action for an observation.
 
         Raises:
-            ValueError: a random action was asked for without a key.
+            ValueError: if a random action is requested without a key.
         """
         shape = (*obs.shape[:-1], self.action_size)
         if self.name == "zero":
@@ -98,10 +98,10 @@ class Baseline:
 
 
 def baseline_policy(name: str, action_size: int) -> Baseline:
-    """``"zero"`` (do nothing) or ``"random"`` (uniform in [-1, 1]), called like a ``Policy``.
+    """Make the baseline ``"zero"`` (do nothing) or ``"random"`` (uniform in [-1, 1]), called like a ``Policy``.
 
     Raises:
-        UnknownNameError: there is no such baseline.
+        UnknownNameError: if there is no such baseline.
     """
     if name not in BASELINES:
         raise UnknownNameError("baseline", name, BASELINES)
@@ -115,12 +115,12 @@ def baseline_policy(name: str, action_size: int) -> Baseline:
 )
 @dataclass(frozen=True)
 class Pair:
-    """A robot's policy and a person's; each sees its own columns of the observation only.
+    """A pair of robot policy and person policy; each receives only its own columns of the observation.
 
     Attributes:
         robot: the robot's policy.
-        human: the person's.
-        robot_columns: how many columns of the observation are the robot's; the rest the person's.
+        human: the person's policy.
+        robot_columns: number of observation columns that belong to the robot; the rest are the person's.
     """
 
     robot: Policy | Baseline
@@ -129,13 +129,13 @@ class Pair:
 
     @property
     def info(self) -> dict[str, Any]:
-        """Where the robot's policy came from."""
+        """Provenance of the robot's policy."""
         return dict(self.robot.info)
 
     def __call__(
         self, obs: jax.Array, key: jax.Array | None = None, deterministic: bool = True
     ) -> jax.Array:
-        """The robot's action, then the person's; as ``Policy``."""
+        """Return the robot's action followed by the person's; arguments as for ``Policy``."""
         keys = (None, None) if key is None else jax.random.split(key)
         robot, human = obs[..., : self.robot_columns], obs[..., self.robot_columns :]
         actions = (

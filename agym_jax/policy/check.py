@@ -1,4 +1,4 @@
-"""Whether a policy fits an environment: same task and robot, same agent, same observation."""
+"""Check whether a policy fits an environment: same task and robot, same agent, same observation."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ FLAGS = {
 
 
 def train_command(env_name: str) -> str:
-    """The command that trains a policy for an environment."""
+    """Return the command that trains a policy for an environment."""
     trainer = "train" if env_name == static_id(env_name) else "coop"
     return f"agym-jax {trainer} --env-name {env_name}"
 
 
 def settings_for(path: Path | str, env_name: str) -> dict[str, Any]:
-    """The arguments of ``agym_jax.make`` with which a policy's environment was made, for commands that follow the policy.
+    """Return the ``agym_jax.make`` arguments of a policy's environment, for commands that take their settings from it.
 
     Args:
-        path: of its file, or a baseline's name.
-        env_name: environment id; a policy of another one has none.
+        path: path of the policy's file, or the name of a baseline.
+        env_name: environment id; the result is empty if the policy belongs to another one.
 
     Raises:
-        PolicyNotFoundError, PolicyDamagedError: there is no such file, or it cannot be read.
+        PolicyNotFoundError, PolicyDamagedError: if there is no such file, or it cannot be read.
     """
     if str(path) in BASELINES:
         return {}
@@ -44,7 +44,7 @@ def settings_for(path: Path | str, env_name: str) -> dict[str, Any]:
 
 
 def meant_for(info: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of the environment that a policy is for: those in which it was trained, unless its ``info`` names others."""
+    """Return the settings of the environment that a policy is for: those of its training, unless ``info`` names others."""
     return info.get("meant_for", info.get("changes", {}))
 
 
@@ -56,21 +56,22 @@ def check_policy(
     agent: str | None = None,
     other_people: bool = False,
 ) -> None:
-    """Make sure that a policy fits an environment.
+    """Check that a policy fits an environment.
 
     Args:
-        policy: to check.
+        policy: the policy to check.
         env: environment that it must fit.
-        path: of its file, for the error.
-        any_env: accept a policy of another environment, or one with other settings, whose observation layout and
-            action size agree.
-        agent: whom it shall move: "robot", "human", or "joint" for both; None = all who act.
-        other_people: accept one that was trained with other people or another length of episodes, to see how it does here.
+        path: path of the policy's file, for the error message.
+        any_env: accept a policy of another environment, or one with different settings, if the observation layout and
+            the action size agree.
+        agent: agent that it is to control: "robot", "human", or "joint" for both; None = all active agents.
+        other_people: accept a policy trained with a different population or episode length, to evaluate how it
+            generalises.
 
     Raises:
-        PolicyEnvironmentError: trained for another task, robot or agent (a robot's policy fits the
-            still and the active person of its pair), or with other settings.
-        PolicyLayoutError: reads another observation layout, or has other sizes.
+        PolicyEnvironmentError: if the policy was trained for another task, robot or agent (a robot's policy fits both the
+            passive and the active person of the same task and robot), or with different settings.
+        PolicyLayoutError: if it expects a different observation layout or different sizes.
     """
     agents = parts(env)
     agent = agent or ("joint" if "joint" in agents else "robot")
@@ -120,11 +121,11 @@ def check_policy(
 
 
 def trained_otherwise(policy: AnyPolicy, env: Any) -> str:
-    """In what an environment is other than a policy's training (or what it is ``meant_for``), in words; empty if in nothing.
+    """Describe how an environment differs from a policy's training (or what it is ``meant_for``); empty if it does not.
 
     Args:
-        policy: or a pair of them; baselines and functions were not trained.
-        env: in which it runs.
+        policy: a policy or a pair of them; baselines and functions were not trained and never differ.
+        env: environment in which it runs.
     """
     policies = (policy.robot, policy.human) if isinstance(policy, Pair) else (policy,)
     ours = getattr(env, "changes", {})

@@ -1,4 +1,4 @@
-"""What a policy reads and moves, in words and numbers: for whoever runs it outside of agym_jax."""
+"""Specification of a policy's inputs and outputs, for running it outside agym_jax."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ CONVENTIONS = {
 
 
 def contract(env: Any, agent: str, info: Mapping[str, Any]) -> dict[str, str]:
-    """Name -> text (JSON where it is not a word or a number) of all that inputs and outputs mean.
+    """Describe the meaning of all inputs and outputs: name -> text (JSON unless it is a word or a number).
 
     Args:
         env: an ``AssistiveEnv``.
-        agent: who acts: "robot", "human", or "joint" for both.
-        info: of the policy, see ``Policy``.
+        agent: acting agent: "robot", "human", or "joint" for both.
+        info: information about the policy, see ``Policy``.
     """
     agents = ("robot", "human") if agent == "joint" and env.active else (agent,)
     told = {
@@ -53,7 +53,7 @@ def contract(env: Any, agent: str, info: Mapping[str, Any]) -> dict[str, str]:
 
 
 def observation_entries(env: Any, agents: tuple[str, ...]) -> list[dict[str, Any]]:
-    """What the columns of the observation are, in order: name, first column and the one after the last, unit, frame."""
+    """Describe the observation's columns, in order: name, first column and one past the last, unit, frame."""
     entries, start = [], 0
     for agent in agents:
         record = env.task.robot_obs if agent == "robot" else env.task.human_obs
@@ -67,7 +67,7 @@ def observation_entries(env: Any, agents: tuple[str, ...]) -> list[dict[str, Any
 
 
 def action_entries(env: Any, agents: tuple[str, ...]) -> list[dict[str, Any]]:
-    """What the entries of the action are, in order: joint, its limits [rad], and what a full action of 1 asks [rad]."""
+    """Describe the action's entries, in order: joint, its limits [rad], and the displacement of a full action of 1 [rad]."""
     scale, found = env.task.control.action_scale, []
     for agent in agents:
         if agent == "robot":
@@ -90,7 +90,7 @@ def action_entries(env: Any, agents: tuple[str, ...]) -> list[dict[str, Any]]:
 
 
 def _meaning(env: Any, agent: str) -> str:
-    """What an agent's action asks of its joints."""
+    """Explain in words how an agent's action moves its joints."""
     control = env.task.control
     if agent == "robot":
         return (

@@ -1,10 +1,11 @@
-"""Write a policy as ONNX, with its normaliser inside and what inputs and outputs mean beside: ``agym-jax export``.
+"""Export a policy to ONNX, with its normaliser built in and its inputs and outputs described: ``agym-jax export``.
 
     agym-jax export ScratchItchJaco-v0 policy.onnx
     agym-jax export ScratchItchJaco-v0 policy.onnx --load-dir trained_models
     agym-jax export FeedingPR2Human-v0 person.onnx --agent human
 
-Without a file or a folder, the policy that ships with the package. What is written gives the policy's mean actions.
+If neither a policy file nor a run's folder is given, the policy that ships with the package is exported. The exported
+graph computes the policy's mean actions.
 """
 
 from __future__ import annotations
@@ -33,23 +34,23 @@ AGENTS = ("robot", "human", "joint")
 def export_policy(
     policy: Policy, env: Any, path: Path | str, precision: str = PRECISIONS[0]
 ) -> Path:
-    """Write a policy as ONNX.
+    """Export a policy to ONNX.
 
     Args:
-        policy: of one agent of ``env``, or of both at once.
-        env: environment that it acts in.
-        path: file to write, ending in ``.onnx``; its folder is made if need be.
-        precision: of what is computed inside, see ``onnx_graph.PRECISIONS``.
+        policy: policy of one agent of ``env``, or of both together.
+        env: environment in which it acts.
+        path: file to write, ending in ``.onnx``; its folder is created if necessary.
+        precision: precision of the computation inside the graph, see ``onnx_graph.PRECISIONS``.
 
     Returns:
         The path.
 
     Raises:
-        ArgumentError: the file's name has another ending.
-        SaveFolderError: the folder cannot be written to.
-        MissingExtraError: onnx is not installed.
-        PolicyEnvironmentError: the policy was trained for another task, robot or agent.
-        PolicyLayoutError: it reads another observation.
+        ArgumentError: if the file name does not end in ``.onnx``.
+        SaveFolderError: if the folder cannot be written to.
+        MissingExtraError: if onnx is not installed.
+        PolicyEnvironmentError: if the policy was trained for another task, robot or agent.
+        PolicyLayoutError: if it expects a different observation.
     """
     path = checked_path(path)
     agent = policy.info.get("agent", "robot")
@@ -60,11 +61,11 @@ def export_policy(
 
 
 def checked_path(path: Path | str) -> Path:
-    """The path of a file that can be written.
+    """Check that a file can be written and return its path.
 
     Raises:
-        ArgumentError: its name does not end in ``.onnx``.
-        SaveFolderError: its folder cannot be written to.
+        ArgumentError: if its name does not end in ``.onnx``.
+        SaveFolderError: if its folder cannot be written to.
     """
     path = Path(path)
     if path.suffix != SUFFIX:
@@ -81,18 +82,18 @@ def choose_policy(
     policy: str | None = None,
     agent: str | None = None,
 ) -> Path:
-    """The file of the policy that the command line means.
+    """Return the file of the policy that the command line selects.
 
     Args:
         env_id: environment id.
         load_dir: ``--save-dir`` of a training run.
-        policy: a file, before ``load_dir``.
-        agent: whose policy; None for the robot's, or for whose the file is.
+        policy: a policy file, which takes precedence over ``load_dir``.
+        agent: agent whose policy to export; None for the robot's, or for the agent of the given file.
 
     Raises:
-        PolicyNotFoundError: there is none.
-        PolicyEnvironmentError: the person's policy of an id in which the person does not act.
-        ArgumentError: a baseline, which is no file.
+        PolicyNotFoundError: if there is no such policy.
+        PolicyEnvironmentError: if the person's policy is requested for an id in which the person does not act.
+        ArgumentError: if a baseline is requested, which has no file.
     """
     if policy in BASELINES:
         raise ArgumentError(f"{policy!r} is no policy that could be written. Name a file with --policy.")  # fmt: skip
@@ -112,16 +113,18 @@ def choose_policy(
 
 
 def main(argv: Sequence[str] | None = None, prog: str = "agym-jax export") -> int:
-    """The command line; returns the exit status."""
+    """Run the command line and return the exit status."""
     parser = argparse.ArgumentParser(
         prog=prog, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("id", help="environment id, such as ScratchItchJaco-v0")
     parser.add_argument("output", help="file to write, such as policy.onnx")
-    parser.add_argument("--policy", help="file of the policy, instead of the shipped one")
-    parser.add_argument("--load-dir", help="--save-dir of the training run that it comes from")
-    parser.add_argument("--agent", choices=AGENTS, help="whose policy, where the person acts too")
-    parser.add_argument("--precision", choices=PRECISIONS, default=PRECISIONS[0], help="inside; float32 for runtimes without float64")  # fmt: skip
+    parser.add_argument("--policy", help="policy file to export instead of the shipped policy")
+    parser.add_argument("--load-dir", help="--save-dir of the training run whose policy to export")
+    parser.add_argument(
+        "--agent", choices=AGENTS, help="agent whose policy to export, if the person acts too"
+    )
+    parser.add_argument("--precision", choices=PRECISIONS, default=PRECISIONS[0], help="of the computation; float32 for runtimes without float64")  # fmt: skip
     args = parser.parse_args(argv)
     try:
         import_onnx()

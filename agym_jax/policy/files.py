@@ -1,4 +1,4 @@
-"""Where policies are: shipped with the package, in the folder of a training run, or in a file."""
+"""Locations of policies: shipped with the package, in the folder of a training run, or in a file."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from agym_jax.policy.policy import Policy, not_found, read_policy, shipped
 from agym_jax.registry import active_id, static_id
 
 FILE_NAMES = {"robot": "policy.npz", "joint": "policy.npz", "human": "human_policy.npz"}
-"""Agent -> file of its policy in the folder of a run."""
+"""Agent -> name of its policy file in the folder of a run."""
 FORMER_FILE_NAMES = {"human": "person_policy.npz"}
-"""In folders of runs from before the agent was renamed."""
+"""The same for runs from before the agent was renamed."""
 
 
 def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
-    """A policy by the id of an environment, or by its place; see ``agym_jax.load_policy``.
+    """Load a policy by environment id or by path; see ``agym_jax.load_policy``.
 
     Args:
-        source: an id, whose shipped policy is meant; or a path: of a file (``.npz``), or of a folder of
-            a training run (``trained_models/ScratchItchJaco-v0``). A text is a path if it has a slash.
-        env: environment that it must fit; None skips that check.
+        source: an environment id, to load its shipped policy; or the path of a file (``.npz``) or of a training run's
+            folder (``trained_models/ScratchItchJaco-v0``). A string is taken as a path if it contains a slash.
+        env: environment that the policy must fit; None skips this check.
 
     Returns:
-        The policy of all who act: of robot and person where there is one of each.
+        The policy of all active agents: a pair if robot and person each have their own.
     """
     text = str(source).removeprefix("agym_jax/")
     if isinstance(source, Path) or "/" in text or "\\" in text or text.endswith(".npz"):
@@ -53,7 +53,7 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
 
 
 def _files_at(path: Path) -> PolicyFiles:
-    """The policies in a file or in the folder of a run."""
+    """Return the policies in a file or in the folder of a run."""
     if not path.is_dir():
         return PolicyFiles(str(path), None)
     human = run_file(path, "human")
@@ -61,7 +61,7 @@ def _files_at(path: Path) -> PolicyFiles:
 
 
 def run_file(folder: Path, agent: str) -> Path:
-    """The file of an agent's policy in the folder of a run; it may not be there."""
+    """Return the file of an agent's policy in the folder of a run; it may not exist."""
     former = folder / FORMER_FILE_NAMES.get(agent, FILE_NAMES[agent])
     path = folder / FILE_NAMES[agent]
     return former if former.is_file() and not path.is_file() else path
@@ -70,18 +70,18 @@ def run_file(folder: Path, agent: str) -> Path:
 def find_policy(
     env_name: str, load_dir: Path | str | None = None, policy: Path | str | None = None
 ) -> Path:
-    """The policy file that the command-line tools mean.
+    """Return the policy file that the command-line tools select.
 
     Args:
         env_name: environment id.
-        load_dir: ``--save-dir`` of a training run; its ``<env>/policy.npz`` is meant.
-        policy: a file, which goes before ``load_dir``.
+        load_dir: ``--save-dir`` of a training run; selects its ``<env>/policy.npz``.
+        policy: a policy file, which takes precedence over ``load_dir``.
 
     Returns:
-        The file; without folder and file, the shipped policy of the environment.
+        The file; if neither folder nor file is given, the shipped policy of the environment.
 
     Raises:
-        PolicyNotFoundError: there is none; lists what there is and how to train one.
+        PolicyNotFoundError: if there is none; the message lists the available policies and how to train one.
     """
     train = f"Train one: {train_command(env_name)}"
     if policy is not None:
@@ -107,7 +107,7 @@ def find_policy(
 
 @dataclass(frozen=True)
 class PolicyFiles:
-    """What the command line means: files or names of baselines; no person where none is named."""
+    """The policies that the command line selects: files or names of baselines; no person's policy if none is named."""
 
     robot: str
     human: str | None
@@ -119,17 +119,18 @@ def find_policies(
     policy: str | None = None,
     human_policy: str | None = None,
 ) -> PolicyFiles:
-    """The policies that the command-line tools mean, before anything is built.
+    """Return the policies that the command-line tools select, before anything is built.
 
     Args:
         env_name: environment id.
         load_dir: ``--save-dir`` of a training run.
-        policy: of the robot (or of both at once): a file or a baseline, before ``load_dir``.
-        human_policy: of the person, the same.
+        policy: policy of the robot (or of both agents together): a file or a baseline, which takes precedence over
+            ``load_dir``.
+        human_policy: the same for the person.
 
     Raises:
-        PolicyNotFoundError: there is no such file.
-        PolicyEnvironmentError: a person's policy where the person does not act.
+        PolicyNotFoundError: if there is no such file.
+        PolicyEnvironmentError: if a person's policy is given, but the person does not act.
     """
     plain = env_name.rpartition(":")[2]
     acts = plain != static_id(plain)
@@ -153,20 +154,20 @@ def find_policies(
 def load_agent(
     name: Path | str, env: Any, agent: str, any_env: bool = False, other_people: bool = False
 ) -> Policy | Baseline:
-    """The policy of one agent: a file that fits, or a baseline.
+    """Load the policy of one agent: from a file that fits the environment, or a baseline.
 
     Args:
-        name: of a file, or "zero" or "random".
-        env: what it must fit.
-        agent: whom it moves: "robot", "human", or "joint" for both.
+        name: name of a file, or "zero" or "random".
+        env: environment that it must fit.
+        agent: agent that it controls: "robot", "human", or "joint" for both.
         any_env: see ``check_policy``.
         other_people: see ``check_policy``.
 
     Raises:
-        PolicyNotFoundError: there is no such file.
-        PolicyDamagedError: the file is not whole.
-        PolicyEnvironmentError: of another task, robot or agent, or of other settings.
-        PolicyLayoutError: it reads another observation layout, or has other sizes.
+        PolicyNotFoundError: if there is no such file.
+        PolicyDamagedError: if the file is damaged.
+        PolicyEnvironmentError: if it is for another task, robot or agent, or different settings.
+        PolicyLayoutError: if it expects a different observation layout or different sizes.
     """
     if str(name) in BASELINES:
         return baseline_policy(str(name), parts(env)[agent].sizes[1])
@@ -178,7 +179,7 @@ def load_agent(
 def load_policies(
     files: PolicyFiles, env: Any, any_env: bool = False, other_people: bool = False
 ) -> Policy | Baseline | Pair:
-    """The policies of all who act in an environment; for arguments and errors see ``load_agent``."""
+    """Load the policies of all active agents of an environment; for arguments and errors see ``load_agent``."""
     if files.human is None:
         agent = "joint" if "joint" in parts(env) else "robot"
         return load_agent(files.robot, env, agent, any_env, other_people)

@@ -1,4 +1,4 @@
-"""Brax's PPO networks, described by a small hashable record, and the three ways to use them."""
+"""Brax's PPO networks, described by a small hashable record, and functions to initialise and evaluate them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ACTIVATIONS = {
 
 @dataclass(frozen=True)
 class Architecture:
-    """What must agree for weights to fit: sizes, layers, activation and distribution."""
+    """Everything that must match for weights to be compatible: sizes, layers, activation and distribution."""
 
     observation_size: int
     action_size: int
@@ -42,11 +42,11 @@ class Architecture:
 
 @cache
 def make_networks(arch: Architecture, value_size: int | None = None) -> ppo_networks.PPONetworks:
-    """Policy network, value network and action distribution of an architecture.
+    """Build policy network, value network and action distribution of an architecture.
 
     Args:
-        arch: of the networks.
-        value_size: size of what the value network reads, if not ``arch.observation_size``.
+        arch: architecture of the networks.
+        value_size: input size of the value network; defaults to ``arch.observation_size``.
     """
     if value_size is not None:
         networks: Any = make_networks(arch)
@@ -76,7 +76,7 @@ def make_networks(arch: Architecture, value_size: int | None = None) -> ppo_netw
 
 
 def init_policy(networks: ppo_networks.PPONetworks, arch: Architecture, key: jax.Array) -> Any:
-    """Initial weights of the policy network, with a head of gain ``policy_head_gain``."""
+    """Initialise the weights of the policy network, with gain ``policy_head_gain`` for the last layer."""
     policy = networks.policy_network.init(key)
     if arch.distribution == "tanh_normal":  # Brax gives its head the gain of the hidden layers
         head = f"hidden_{len(arch.policy_hidden)}"
@@ -100,8 +100,8 @@ def sample_action(
         key: random key.
 
     Returns:
-        The action in [-1, 1] (..., action_size), the raw sample it was made of (same shape) and
-        the log-probability of the raw sample (...).
+        The action in [-1, 1] (..., action_size), the raw sample from which it was computed (same shape), and the
+        log-probability of the raw sample (...).
     """
     distribution = networks.parametric_action_distribution
     logits = networks.policy_network.apply(normalizer, policy, obs)
@@ -114,7 +114,7 @@ def sample_action(
 def mode_action(
     networks: ppo_networks.PPONetworks, normalizer: Any, policy: Any, obs: jax.Array
 ) -> jax.Array:
-    """The deterministic action in [-1, 1] (..., action_size)."""
+    """Return the deterministic action in [-1, 1] (..., action_size)."""
     logits = networks.policy_network.apply(normalizer, policy, obs)
     if isinstance(logits, tuple):  # "normal": (mean, deviation)
         return jnp.clip(logits[0], -1.0, 1.0)

@@ -14,15 +14,16 @@ from agym_jax.policy.policy import Policy
 OPSET, IR_VERSION = 17, 8  # of 2022: what runtimes on robots read
 INPUT, OUTPUT = "observation", "action"
 PRECISIONS = ("float64", "float32")
-"""Of what is computed inside. In float32 actions depend on the order of sums, up to some 1e-5: JAX's own differ by 5e-6
-between one observation and a batch. Some runtimes, such as TensorRT, know no float64."""
+"""Precision of the computation inside the graph. In float32, actions depend on the order of summation, by up to about 1e-5:
+JAX's own actions differ by 5e-6 between a single observation and a batch. Some runtimes, such as TensorRT, do not support
+float64."""
 
 
 def import_onnx() -> Any:
-    """The package ``onnx``.
+    """Import the package ``onnx``.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: if it is not installed.
     """
     try:
         import onnx
@@ -34,16 +35,16 @@ def import_onnx() -> Any:
 
 
 def build_model(policy: Policy, metadata: Mapping[str, str], precision: str = "float64") -> Any:
-    """An ``onnx.ModelProto`` that maps observations (batch, n) to the actions of ``policy(obs)`` (batch, m), both float32.
+    """Build an ``onnx.ModelProto`` that maps observations (batch, n) to actions ``policy(obs)`` (batch, m), both float32.
 
     Args:
-        policy: any whose network is one of ``Architecture``.
-        metadata: goes into the file.
+        policy: any policy whose network is described by an ``Architecture``.
+        metadata: metadata to store in the file.
         precision: one of ``PRECISIONS``.
 
     Raises:
-        MissingExtraError: onnx is not installed.
-        UnknownNameError: there is no such precision.
+        MissingExtraError: if onnx is not installed.
+        UnknownNameError: if there is no such precision.
     """
     if precision not in PRECISIONS:
         raise UnknownNameError("precision", precision, PRECISIONS)

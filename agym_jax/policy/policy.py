@@ -1,8 +1,8 @@
-"""A policy: what a trained robot or person needs to act, in one ``.npz`` without pickle.
+"""A policy: everything a trained robot or person needs to act, in one ``.npz`` file without pickle.
 
-The file holds the weights of the policy network, mean and deviation of the observation, and a
-record of where it came from. A loaded ``Policy`` is a pure function and a JAX tree: pass it to a
-jitted function as an argument and new weights do not compile anew.
+The file contains the weights of the policy network, the mean and standard deviation of the observation, and a record
+of the policy's provenance. A loaded ``Policy`` is a pure function and a JAX pytree: pass it to a jitted function as an
+argument, and new weights do not cause recompilation.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from agym_jax.policy.networks import Architecture, make_networks, mode_action, s
 
 FORMAT = 1
 FORMER_AGENTS = {"person": "human"}
-"""What an agent is called in files that were written before it was renamed."""
+"""Former name of an agent, used in files written before it was renamed -> its present name."""
 
 
 @partial(
@@ -42,15 +42,15 @@ FORMER_AGENTS = {"person": "human"}
 )
 @dataclass(frozen=True)
 class Policy:
-    """A policy that can act.
+    """A policy, ready to act.
 
     Attributes:
         weights: parameters of the policy network.
-        mean: of the observation    (observation,)
-        std: of the observation    (observation,)
+        mean: mean of the observation    (observation,)
+        std: standard deviation of the observation    (observation,)
         arch: sizes, layers, activation, distribution.
-        info: where it came from: ``env, agent, layout, env_steps, commit, versions, ...``. ``changes`` are the settings in which it was
-            trained, ``meant_for`` those of the environment that it is for, where they are others.
+        info: provenance: ``env, agent, layout, env_steps, commit, versions, ...``. ``changes`` are the settings used in
+            training, and ``meant_for`` those of the environment that the policy is for, if they differ.
     """
 
     weights: Any
@@ -62,18 +62,18 @@ class Policy:
     def __call__(
         self, obs: jax.Array, key: jax.Array | None = None, deterministic: bool = True
     ) -> jax.Array:
-        """The action for an observation.
+        """Compute the action for an observation.
 
         Args:
             obs: (..., observation).
             key: random key, needed only if not deterministic.
-            deterministic: the mode of the distribution instead of a sample.
+            deterministic: return the mode of the distribution instead of a sample.
 
         Returns:
             Action in [-1, 1]    (..., action).
 
         Raises:
-            ValueError: a sample was asked for without a key.
+            ValueError: if a sample is requested without a key.
         """
         networks = make_networks(self.arch)
         normalizer = NestedMeanStd(mean=self.mean, std=self.std)
@@ -85,7 +85,7 @@ class Policy:
 
 
 def _named(tree: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """The leaves of nested dictionaries, by names like ``prefix/a/b``."""
+    """Return the leaves of nested dictionaries, under names such as ``prefix/a/b``."""
     flat: dict[str, Any] = {}
     for name, value in tree.items():
         path = f"{prefix}/{name}"
@@ -94,12 +94,12 @@ def _named(tree: Mapping[str, Any], prefix: str) -> dict[str, Any]:
 
 
 def _flatten(tree: Mapping[str, Any], prefix: str) -> dict[str, np.ndarray]:
-    """The same, as NumPy's arrays."""
+    """Return the same as NumPy arrays."""
     return {name: np.asarray(value) for name, value in _named(tree, prefix).items()}
 
 
 def _unflatten(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, Any]:
-    """The opposite of ``_flatten``."""
+    """Invert ``_flatten``."""
     tree: dict[str, Any] = {}
     for path, value in arrays.items():
         first, *names, last = path.split("/")
@@ -112,11 +112,11 @@ def _unflatten(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, Any]:
 
 
 def save_policy(path: Path | str, policy: Policy) -> Path:
-    """Write a policy.
+    """Save a policy to a file.
 
     Args:
-        path: file to write; its folder is made if need be.
-        policy: the policy; its ``info`` should have ``env`` and ``layout``.
+        path: file to write; its folder is created if necessary.
+        policy: the policy; its ``info`` should contain ``env`` and ``layout``.
 
     Returns:
         The path.
@@ -131,11 +131,11 @@ def save_policy(path: Path | str, policy: Policy) -> Path:
 
 
 def read_policy(path: Path | str) -> Policy:
-    """Read a policy's file; ``agym_jax.policy.check`` says whether it fits an environment.
+    """Read a policy file; ``agym_jax.policy.check`` checks whether it fits an environment.
 
     Raises:
-        PolicyNotFoundError: no such file; lists the policies that lie near it.
-        PolicyDamagedError: the file is not whole, or no policy, or one that cannot act.
+        PolicyNotFoundError: if there is no such file; the message lists policies in nearby folders.
+        PolicyDamagedError: if the file is damaged, is not a policy, or contains a policy that cannot act.
     """
     path = Path(path)
     try:
@@ -168,7 +168,7 @@ def _architecture(record: Mapping[str, Any]) -> Architecture:
 
 
 def _fault(record: Any, arrays: Mapping[str, np.ndarray]) -> str | None:
-    """What is wrong with the arrays of a policy, in words."""
+    """Describe what is wrong with the arrays of a policy; None if nothing is."""
     try:
         arch = _architecture(record)
         network = make_networks(arch).policy_network
@@ -189,7 +189,7 @@ def _fault(record: Any, arrays: Mapping[str, np.ndarray]) -> str | None:
 
 
 def shipped() -> list[str]:
-    """Names of the environments whose policies come with agym_jax."""
+    """Return the names of the environments for which a policy ships with agym_jax."""
     try:
         return sorted(p.stem for p in (asset_root() / "policies").glob("*.npz"))
     except MissingAssetError:
@@ -197,7 +197,7 @@ def shipped() -> list[str]:
 
 
 def not_found(path: Path) -> PolicyNotFoundError:
-    """An error that lists what lies near a missing policy."""
+    """Make an error that lists the policies near a missing one."""
     folder = path.parent
     near = sorted(p.name for p in folder.glob("*.npz")) if folder.is_dir() else []
     text = f"No policy {str(path)!r}. "

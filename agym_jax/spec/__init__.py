@@ -1,7 +1,7 @@
 """Frozen records that describe robots, tools, seats, people and tasks, and the Task protocol.
 
-A robot file and a task file hold nothing but these records and pure functions; ``scene.py`` turns them into a MuJoCo
-model, ``env.py`` into an environment. Lengths in metres, angles in radians, quaternions wxyz, if not named otherwise.
+Robot files and task files contain only these records and pure functions; ``scene.py`` builds a MuJoCo model from them,
+and ``env.py`` an environment. Lengths are in metres, angles in radians and quaternions wxyz, unless noted otherwise.
 """
 
 from .optional import (

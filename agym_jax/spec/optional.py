@@ -1,4 +1,4 @@
-"""What a task may have besides ``Task``: each protocol is recognised by its methods."""
+"""Optional protocols that a task may implement in addition to ``Task``; each is recognised by its methods."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import jax
 
 @runtime_checkable
 class Privileged(Protocol):
-    """What a task has besides if rewards to come depend on more than is observed."""
+    """Optional protocol of tasks whose future rewards depend on more than is observed."""
 
     @property
     def privileged_obs_size(self) -> int:
-        """Entries of ``privileged_obs``."""
+        """Length of ``privileged_obs``."""
         ...
 
     def privileged_obs(self, state: Any) -> jax.Array:
-        """What nobody observes; for value functions, in training only (privileged_obs_size,)."""
+        """Return quantities that neither agent observes, for value functions during training only (privileged_obs_size,)."""
         ...
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A number of a task in the units of care, in ``State.metrics`` under ``task/<name>``."""
+    """A measure of a task's progress in practical units, reported in ``State.metrics`` as ``task/<name>``."""
 
     name: str
     unit: str  # "1" for counts and shares
@@ -33,50 +33,50 @@ class Measure:
 
 @runtime_checkable
 class Measured(Protocol):
-    """What a task has besides if it tells more of how it goes than whether it is done."""
+    """Optional protocol of tasks that report their progress in more detail than success or failure."""
 
     @property
     def measures(self) -> tuple[Measure, ...]:
-        """What it tells."""
+        """Measures that the task reports."""
         ...
 
     def measure(self, state: Any) -> dict[str, jax.Array]:
-        """Name of each of ``measures``, in their order -> its value now ()."""
+        """Return the current value () of each of ``measures``, by name and in the same order."""
         ...
 
 
 @runtime_checkable
 class Loaded(Protocol):
-    """What a task has besides if its tool weighs on the arm that holds it."""
+    """Optional protocol of tasks whose tool loads the arm that holds it with its weight."""
 
     def load(self, state: Any) -> tuple[jax.Array, jax.Array]:
-        """Weight of the first tool and what is in it [N] (), and where it acts, world [m] (3,)."""
+        """Return the weight of the first tool with its contents [N] (), and where it acts, world [m] (3,)."""
         ...
 
 
 @runtime_checkable
 class Comfortable(Protocol):
-    """What a task has besides if other forces than ``human.regions.Region.comfort`` are comfortable in it."""
+    """Optional protocol of tasks whose comfort limits differ from ``human.regions.Region.comfort``."""
 
     @property
     def comfort(self) -> tuple[tuple[str, float], ...]:
-        """Names of regions and their comfort limits [N]; those that are left out have the region's own."""
+        """Names of regions and their comfort limits [N]; regions that are not listed keep their own limit."""
         ...
 
 
 @runtime_checkable
 class BatchedOnCpu(Protocol):
-    """What a task has besides if its functions are so large that a CPU runs smaller batches of them faster."""
+    """Optional protocol of tasks whose functions are so large that a CPU evaluates them faster in smaller batches."""
 
     @property
     def cpu_rows(self) -> tuple[int, int]:
-        """Environments that C MuJoCo runs in one call of them: alone, and of a batch; see ``sim.c_mujoco.ROWS``."""
+        """Environments per call with C MuJoCo, for a single environment and in a batch; see ``sim.c_mujoco.ROWS``."""
         ...
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A triangle mesh to draw, seen from both sides."""
+    """A triangle mesh to draw, visible from both sides."""
 
     vertices: Any  # world [m]                                              (n, 3)
     triangles: Any  # vertices of each                                      (t, 3)
@@ -85,30 +85,30 @@ class Surface:
 
 @runtime_checkable
 class Surfaced(Protocol):
-    """What a task has besides if it draws more than points."""
+    """Optional protocol of tasks that draw more than points."""
 
     def surfaces(self, state: Any) -> list[Surface]:
-        """Meshes to draw; their triangles are the same in every state."""
+        """Return meshes to draw; their triangles are the same in every state."""
         ...
 
 
 @runtime_checkable
 class Prepared(Protocol):
-    """What a task has besides if it makes something of its data before the first episode: a mesh of a file."""
+    """Optional protocol of tasks that must prepare data before the first episode, such as loading a mesh from a file."""
 
     def prepare(self) -> None:
-        """Make it, and refuse data that it cannot be made of; called whenever a scene is built.
+        """Prepare the data and reject invalid data; called whenever a scene is built.
 
         Raises:
-            AgymError: says what is wrong where.
+            AgymError: if the data is invalid; the message says what is wrong and where.
         """
         ...
 
 
 @runtime_checkable
 class Furnished(Protocol):
-    """What a task has besides if some of its seat's props stand elsewhere in every episode."""
+    """Optional protocol of tasks in which some of the seat's props stand in a different place in every episode."""
 
     def props(self, state: Any) -> dict[str, jax.Array]:
-        """Name of a prop -> where it stands, world [m] (3,)."""
+        """Return the position of each such prop by name, world [m] (3,)."""
         ...

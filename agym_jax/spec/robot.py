@@ -1,4 +1,4 @@
-"""What a robot is: names in its MJCF file, and where it starts for which task."""
+"""Description of a robot: the names in its MJCF file, and where it starts for each task."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class Arm:
 
 @dataclass(frozen=True)
 class BaseSearch:
-    """Where a robot's base may stand for a task: a rectangle beside the person, and a yaw.
+    """Where a robot's base may stand for a task: a rectangle beside the person, and a yaw angle.
 
-    AG v0.1 robots.md section 7: uniform within ``spread`` of the centre in y, and within ``spread``
-    of it away from the person (towards ``side`` in x), turned by up to 30 degrees.
+    AG v0.1 robots.md section 7: uniform within ``spread`` of the centre in y, and up to ``spread`` from the centre
+    away from the person (towards ``side``) in x, turned by up to 30 degrees.
     """
 
     centre: Vec3  # world [m]
@@ -41,10 +41,10 @@ class BaseSearch:
 
 @dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
 class MeshModel:
-    """Another package's model of the robot, MJCF or URDF, whose meshes it may wear in pictures.
+    """Another package's model of the robot, MJCF or URDF, whose meshes can be used to draw it.
 
-    Links of one name in both wear them, and must have the same joints; what the package fixes to a link
-    that the robot lacks goes with the nearest link that it has. See ``agym_jax.rendering.meshes``.
+    Meshes are attached to the links with the same name in both models, which must have the same joints. Meshes on links
+    that the robot lacks are attached to the nearest link that it has. See ``agym_jax.rendering.meshes``.
     """
 
     package: str  # on PyPI
@@ -56,7 +56,7 @@ class MeshModel:
 
 @dataclass(frozen=True)
 class MeshPart:
-    """A mesh of another package on one of the robot's links: STL, OBJ or MSH, in metres."""
+    """A mesh from another package, drawn on one of the robot's links: STL, OBJ or MSH, in metres."""
 
     package: str  # on PyPI
     file: str  # of the package, beside its ``.dist-info``
@@ -67,7 +67,7 @@ class MeshPart:
 
 @dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
 class RobotSpec:
-    """A robot: its MJCF and the names in it that a scene needs."""
+    """A robot: its MJCF model and the names in it that a scene needs."""
 
     name: str  # as in the environment ids
     model: str  # asset
@@ -94,23 +94,27 @@ class RobotSpec:
     meshes: tuple[MeshModel | MeshPart, ...] = ()  # what it may look like in pictures
 
     def arm(self, side: str) -> Arm:
-        """The arm on one side; raises SpecError if the robot lacks it."""
+        """Return the arm on one side.
+
+        Raises:
+            SpecError: if the robot has no arm on that side.
+        """
         if side not in self.arms:
             raise SpecError(f"{self.name} has no {side!r} arm, only: {', '.join(self.arms)}.")
         return self.arms[side]
 
     def arms_for(self, task: Task) -> tuple[Arm, ...]:
-        """The arms that a task uses, in action order; a one-armed robot serves with its one.
+        """Return the arms that a task uses, in action order; a one-armed robot always uses its only arm.
 
         Raises:
-            SpecError: the robot lacks an arm that the task asks for.
+            SpecError: if the robot lacks an arm that the task requires.
         """
         return tuple(dict.fromkeys(self.arm(side) for side in task.arms))
 
     def fixed_base(self, task: Task) -> Pose | None:
-        """Where the base stands for a task, or None if a bank of placements says so."""
+        """Return the pose of the base for a task, or None if it is drawn from a bank of placements."""
         return self.bases.get(task.name, self.bases.get(task.seat.name))
 
     def base_search(self, task: str) -> BaseSearch:
-        """Where to look for a base when the seat has no fixed one."""
+        """Return the region in which to search for a base pose if the seat has no fixed one."""
         return self.searches.get(task, BaseSearch((-0.85, -0.4, self.base_height)))

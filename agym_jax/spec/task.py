@@ -1,4 +1,4 @@
-"""What a task is: tools, seats and the person's part as records, and the protocol of its functions."""
+"""Description of a task: records for the tool, the seat and the person's role, and the protocol of its functions."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from .pose import Pose, Vec3
 
 @dataclass(frozen=True)
 class Control:
-    """How fast a task is controlled and simulated, and how strong its motors are.
+    """Control rate, physics step and motor strength of a task.
 
-    A motor asks for the joint velocity ``rate * (target - angle)`` under a torque bound, with the target
-    one full displacement from the angle measured at the start of the control step; see ``sim.motors``.
+    A motor drives its joint at the velocity ``rate * (target - angle)``, subject to a torque limit. The target of a full
+    action is ``action_scale`` away from the angle measured at the start of the control step; see ``sim.motors``.
     """
 
     time_step: float  # physics step [s]
@@ -43,9 +43,9 @@ class Control:
 class ToolSpec:
     """A tool held rigidly in the hand.
 
-    Its geoms touch the person. Several capsules may stand for one part that is not round: they count as one contact, with
-    the sum of their forces at the centre of pressure. A tool that has many of them has an ``outline``: one
-    capsule that touches everything but the arm that is helped, in their place.
+    Its geoms can touch the person. Several capsules may approximate one part that is not round: they count as one contact,
+    with the sum of their forces at the centre of pressure. A tool with many such capsules has an ``outline``: a single
+    capsule that replaces them in contacts with everything except the assisted arm.
     """
 
     name: str
@@ -61,7 +61,7 @@ class ToolSpec:
 
 @dataclass(frozen=True)
 class Prop:
-    """A thing that stands near the seat: seen, and kept clear of by start placements, not felt."""
+    """An object near the seat: it is drawn and avoided by start placements, but has no contacts."""
 
     name: str  # of its file's root body
     model: str  # asset
@@ -85,7 +85,7 @@ class SeatSpec:
 
 @dataclass(frozen=True)
 class Goal:
-    """What a hand should be able to reach from where the base stands, besides the start of the episode."""
+    """A target that a hand should be able to reach from the base, besides its start pose in the episode."""
 
     link: str  # of the person, or "mouth"
     above: float = 0.0  # it [m]
@@ -94,17 +94,17 @@ class Goal:
 
     @classmethod
     def of(cls, goal: Goal | str) -> Goal:
-        """An entry of ``Task.goals``, where a link's name stands for its position."""
+        """Convert an entry of ``Task.goals``, where the name of a link stands for its position."""
         return goal if isinstance(goal, Goal) else cls(goal)
 
 
 PassiveMode = Literal["hold", "limp", "frozen", "welded"]
-"""Who does not act holds the pose with weak muscles, lets the limbs hang, only trembles, or does not move."""
+"""What a passive person does: hold the pose with weak muscles, let the limbs hang, only tremble, or not move at all."""
 
 
 @dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical
 class HumanSpec:
-    """The person's part in a task: which joints move, from which pose, and how strongly."""
+    """The person's role in a task: which joints move, from which pose, and how strongly."""
 
     joints: tuple[str, ...]  # controllable joints, in action order
     pose: Mapping[str, float]  # joint -> angle [rad]; the others 0, all clamped to the limits
@@ -122,7 +122,7 @@ class HumanSpec:
     friction: float = 0.5  # of skin, see ``sim.contacts.pair_friction``
 
     def moving(self, active: bool) -> tuple[str, ...]:
-        """Joints that are hinges in the scene, in action order."""
+        """Return the joints that are hinges in the scene, in action order."""
         return () if self.passive_mode == "welded" and not active else self.joints
 
 
@@ -131,11 +131,11 @@ class Preferences:
     """Weights of the human-preference terms. AG v0.1 config.ini [human_preferences].
 
     Attributes:
-        velocity: weight of the speed of tool or hand [s/m].
+        velocity: weight of the speed of the tool or hand [s/m].
         force_nontarget: weight of forces on the person where no help is needed [1/N].
-        high_forces: weight of forces of 10 N and more where help is needed [1/N].
-        food_hit: what each particle of food or water that hits the person costs [1].
-        food_velocities: weight of the speed of particles that the mouth takes [s/m].
+        high_forces: weight of forces of 10 N or more where help is needed [1/N].
+        food_hit: cost of each particle of food or water that hits the person [1].
+        food_velocities: weight of the speed of particles that enter the mouth [s/m].
         dressing_force: weight of the garment's forces on the person [1/N].
     """
 
@@ -148,56 +148,56 @@ class Preferences:
 
 
 class Task(Protocol):
-    """A task: data for the scene, and pure functions of what one control step shows."""
+    """A task: data for the scene, and pure functions of the sensed data of each control step."""
 
     @property
     def name(self) -> str:
-        """As in the environment ids."""
+        """Name, as in the environment ids."""
         ...
 
     @property
     def control(self) -> Control:
-        """Rates and motors."""
+        """Control rates and motors."""
         ...
 
     @property
     def gravity(self) -> float:
-        """World z [m/s^2], on the person only."""
+        """Gravity along the world's z axis [m/s^2], which acts on the person only."""
         ...
 
     @property
     def arms(self) -> tuple[str, ...]:
-        """Sides of the robot's arms that work, in action order."""
+        """Sides of the robot arms that the task uses, in action order."""
         ...
 
     @property
     def tool(self) -> ToolSpec | None:
-        """What each of those hands holds, if anything."""
+        """Tool that each of those hands holds, if any."""
         ...
 
     @property
     def goals(self) -> tuple[tuple[Goal | str, ...], ...]:
-        """For each arm, what its hand should be able to reach; a string is a ``Goal.link``."""
+        """Targets that each arm's hand should be able to reach; a string is a ``Goal.link``."""
         ...
 
     @property
     def seat(self) -> SeatSpec:
-        """What the person sits or lies on."""
+        """Seat or bed of the person."""
         ...
 
     @property
     def human(self) -> HumanSpec:
-        """The person's part."""
+        """The person's role."""
         ...
 
     @property
     def episode_length(self) -> int:
-        """Control steps of an episode."""
+        """Control steps per episode."""
         ...
 
     @property
     def reward_terms(self) -> tuple[str, ...]:
-        """Names of what ``rewards`` returns, in its order."""
+        """Names of the terms that ``rewards`` returns, in the same order."""
         ...
 
     @property
@@ -211,29 +211,29 @@ class Task(Protocol):
         ...
 
     def start(self, key: jax.Array, robot: str) -> jax.Array:
-        """Where the robot's hands start, world [m] (n_arms, 3)."""
+        """Return the start positions of the robot's hands, world [m] (n_arms, 3)."""
         ...
 
     def init(self, key: jax.Array, sensed: Any) -> Any:
-        """Draw the episode's goal; returns the task's own pytree."""
+        """Draw the episode's goal; returns the task's state, a pytree of its own."""
         ...
 
     def advance(self, state: Any, sensed: Any) -> tuple[Any, dict[str, jax.Array]]:
-        """Bookkeeping of one control step; returns the new state and this step's events."""
+        """Update the task's state after a control step; returns the new state and this step's events."""
         ...
 
     def rewards(self, state: Any, events: dict, sensed: Any, action: jax.Array) -> dict:
-        """Named reward terms, already weighted; their sum is the reward."""
+        """Return the named reward terms, already weighted; their sum is the reward."""
         ...
 
     def observe(self, state: Any, sensed: Any) -> tuple[Any, Any]:
-        """Robot's and person's observation records."""
+        """Return the observation records of the robot and of the person."""
         ...
 
     def success(self, state: Any) -> jax.Array:
-        """Whether the episode counts as a success so far ()."""
+        """Return whether the episode counts as a success so far ()."""
         ...
 
     def markers(self, state: Any) -> list[Any]:
-        """Points to draw: world positions [m] (3,) or (n, 3), radius [m], colour; NaN is not drawn."""
+        """Return points to draw: world positions [m] (3,) or (n, 3), radius [m], colour; NaN positions are not drawn."""
         ...

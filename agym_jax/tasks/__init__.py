@@ -1,4 +1,4 @@
-"""The tasks: one file each, imported when it is first asked for."""
+"""The tasks: one file each, imported on first use."""
 
 from __future__ import annotations
 
@@ -20,4 +20,4 @@ TASKS: Catalogue[Task] = Catalogue(
         "Reaching": "agym_jax.tasks.reaching:REACHING",
     }
 )
-"""Name -> task; the name is the task's own."""
+"""Name -> task; the name is ``Task.name``."""

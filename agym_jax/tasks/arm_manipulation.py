@@ -1,8 +1,8 @@
-"""ArmManipulation: lift the limp right arm, which hangs over the side of the bed, onto the body.
+"""ArmManipulation: lift the limp right arm, which hangs over the side of the bed, onto the person's body.
 
-Assistive Gym v0.1 ``arm_manipulation.py`` (reference tasks.md section 7). Two scoopers lift it where the
-robot has two arms. Success is an elbow near the waist and a hand near the hips at some time of the
-episode: their distances together at most 0.7 m.
+Assistive Gym v0.1 ``arm_manipulation.py`` (reference tasks.md section 7). A robot with two arms uses two scoopers. The
+task succeeds if at any time in the episode the elbow is near the waist and the hand near the hips: the sum of these two
+distances is at most 0.7 m.
 
 DEVIATION(one-arm): Sawyer and Jaco take 7 actions, not 14 of which AG ignores 7; their one tool stands in
 both places of the observation (its force, as in AG, in the right one's alone), and its force and speed count once.
@@ -40,15 +40,15 @@ _RAD = math.pi / 180.0
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. AG v0.1 config.ini [arm_manipulation] unless said.
+    """Weights and thresholds. AG v0.1 config.ini [arm_manipulation] unless noted otherwise.
 
     Attributes:
         distance_human: weight of the distances from elbow to waist and from hand to hips [1/m].
         distance_tool: weight of the distance from each tool to the arm [1/m].
         action: weight of the squared action [1].
-        close: minus the sum of both distances from which on the arm is where it belongs [m].
+        close: negative sum of the two distances above which the arm counts as being in place [m].
         pressure: weight of high pressures [1/N].
-        preferences: weights of what people prefer.
+        preferences: weights of the human-preference terms.
     """
 
     distance_human: float = 0.5  # distance_human_weight
@@ -62,7 +62,7 @@ class Config:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ArmState:
-    """How near the arm is to where it belongs."""
+    """How close the arm is to its target place."""
 
     nearness: Array  # minus elbow to waist minus hand to hips [m]             ()
     best: Array  # the greatest so far [m]                                     ()
@@ -70,7 +70,7 @@ class ArmState:
 
 @observation(source="arm_manipulation.py:83")
 class RobotObs:
-    """What the robot sees."""
+    """Observation of the robot."""
 
     left_tool_pos_torso: Array = column(3, "m", "world axes, from the robot's torso")
     left_tool_quat_w: Array = column(4, "1 (wxyz)", "world")
@@ -86,7 +86,7 @@ class RobotObs:
 
 @observation(source="arm_manipulation.py:89")
 class HumanObs:
-    """What the active person sees and feels."""
+    """Observation of the active person."""
 
     left_tool_pos_human: Array = column(3, "m", "world axes, from the chest")
     left_tool_quat_w: Array = column(4, "1 (wxyz)", "world")
@@ -155,24 +155,24 @@ class ArmManipulation:
     human_obs: type = HumanObs
 
     def start(self, key: Array, robot: str) -> Array:
-        """Where the hands start, world [m] (2, 3). AG arm_manipulation.py reset."""
+        """Return the start positions of the hands, world [m] (2, 3). AG arm_manipulation.py reset."""
         left = (-0.9, 0.4, 1.0) if robot == "Jaco" else (-0.9, 0.7, 0.8)
         centre = jnp.array([left, (-0.9, -0.3, 0.8)])
         return centre + jax.random.uniform(key, (2, 3), minval=-0.05, maxval=0.05)
 
     def init(self, key: Array, sensed: Sensed) -> ArmState:
-        """Nothing is drawn; the best counts from the first step on, as in AG."""
+        """Initialise the best value; nothing is drawn. It counts from the first step, as in AG."""
         return ArmState(_nearness(sensed), jnp.float32(-jnp.inf))
 
     def advance(self, state: ArmState, sensed: Sensed) -> tuple[ArmState, dict[str, Array]]:
-        """Keep the best."""
+        """Update the best value so far."""
         nearness = _nearness(sensed)
         return ArmState(nearness, jnp.maximum(state.best, nearness)), {}
 
     def rewards(
         self, state: ArmState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Weighted terms. AG arm_manipulation.py step; the action is clipped."""
+        """Return the weighted reward terms. AG arm_manipulation.py step; the action is clipped."""
         c, s = self.config, sensed
         _, elbow, hand = (s.link_pos_w[name] for name in RIGHT_ARM_LINKS)
         goals = (elbow, hand)[: len(s.tools)]
@@ -194,7 +194,7 @@ class ArmManipulation:
         }
 
     def observe(self, state: ArmState, sensed: Sensed) -> tuple[RobotObs, HumanObs]:
-        """What robot and person see."""
+        """Return the observations of robot and person."""
         s, torso, chest = sensed, sensed.torso_pos_w, sensed.human_pos_w
         left, right = s.tools[0], s.tools[-1]
         # AG counts contacts of a one-armed robot's tool as the right one's
@@ -229,27 +229,27 @@ class ArmManipulation:
         return robot, human
 
     def success(self, state: ArmState) -> Array:
-        """Whether the arm has been near enough at some time ()."""
+        """Whether the arm has been in place at any time in the episode ()."""
         return state.best >= self.config.close
 
     def measure(self, state: ArmState) -> dict[str, Array]:
-        """How far the arm is from where it belongs, now."""
+        """Return the current distances of the arm from its target place."""
         return {"distance": -state.nearness}
 
     def markers(self, state: ArmState) -> list[tuple[Array, float, tuple[float, ...]]]:
-        """AG draws nothing here."""
+        """Return no markers, as in AG."""
         return []
 
 
 def _nearness(sensed: Sensed) -> Array:
-    """Minus the distances from elbow to waist and from hand to hips [m] ()."""
+    """Return the negative sum of the distances from elbow to waist and from hand to hips [m] ()."""
     _, elbow, hand = (sensed.link_pos_w[name] for name in RIGHT_ARM_LINKS)
     to_waist = jnp.linalg.norm(elbow - sensed.link_pos_w["waist"])
     return -to_waist - jnp.linalg.norm(hand - sensed.link_pos_w["hips"])
 
 
 def _pressure(tool: ToolSensed) -> Array:
-    """Force of a scooper on the person over the number of its contacts [N] ()."""
+    """Return the force of a scooper on the person divided by the number of its contacts [N] ()."""
     touching = jnp.sum(tool.touch_force > 0)
     return tool.on_human / jnp.maximum(touching, 1)
 

@@ -1,8 +1,8 @@
-"""BedBathing: wipe the right arm of a person who lies in bed.
+"""BedBathing: wipe the right arm of a person lying in bed.
 
-Assistive Gym v0.1 ``bed_bathing.py`` (reference tasks.md section 3). Points cover the skin of the
-upper arm and the forearm in rings, underside included; a pad that touches the person wipes those
-within 2.5 cm of the contact. 30 % of them are a success. Nobody observes which are left.
+Assistive Gym v0.1 ``bed_bathing.py`` (reference tasks.md section 3). Points cover the skin of the upper arm and the
+forearm in rings, including the underside. When the pad touches the person, it wipes all points within 2.5 cm of the
+contact. The task succeeds when 30 % of the points have been wiped. Neither agent observes which points are left.
 
 DEVIATION(wiper-shape): pad and plate are the rims of their lower faces, 1 mm thick; a sphere sinks 2 mm into the pad's
 face. All contacts of the pad with one limb count as one, at their centre of pressure: Bullet has one. It also counts
@@ -32,23 +32,23 @@ from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_a
 _H = math.sqrt(0.5)
 _RAD = math.pi / 180.0
 RINGS, PER_RING = 11, 11
-"""Most rings on a limb, and points on a ring, that any drawn person has room for."""
+"""Largest numbers of rings on a limb and of points on a ring that fit on any person that can be drawn."""
 CLOSEST = 0.03
-"""Distance of points from which on that is so [m]."""
+"""Smallest spacing of points for which these numbers suffice [m]."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. AG v0.1 config.ini [bed_bathing] unless said.
+    """Weights and thresholds. AG v0.1 config.ini [bed_bathing] unless noted otherwise.
 
     Attributes:
         distance: weight of the distance from wiper to person [1/m].
         action: weight of the squared action [1].
-        wiping: what each point that is wiped earns [1].
-        wiped: share of the points to be wiped for a success [1].
-        spacing: between points on the skin, at least 0.03 [m].
-        reach: how far from a contact of the pad points are wiped [m].
-        preferences: weights of what people prefer.
+        wiping: reward for each point that is wiped [1].
+        wiped: fraction of the points that must be wiped for success [1].
+        spacing: distance between points on the skin, at least 0.03 [m].
+        reach: distance from a contact of the pad within which points are wiped [m].
+        preferences: weights of the human-preference terms.
     """
 
     distance: float = 1.0  # distance_weight
@@ -60,10 +60,10 @@ class Config:
     preferences: Preferences = Preferences()
 
     def __post_init__(self) -> None:
-        """Refuse points for which there is no room.
+        """Reject a spacing with too many points.
 
         Raises:
-            SpecError: they are closer together than ``CLOSEST``.
+            SpecError: if the points are closer together than ``CLOSEST``.
         """
         if self.spacing < CLOSEST:
             raise SpecError(
@@ -86,7 +86,7 @@ class BathState:
 
 @observation(source="bed_bathing.py:66")
 class RobotObs:
-    """What the robot sees."""
+    """Observation of the robot."""
 
     tool_pos_torso: Array = column(3, "m", "world axes, from the robot's torso")
     tool_quat_w: Array = column(4, "1 (wxyz)", "world")
@@ -97,7 +97,7 @@ class RobotObs:
 
 @observation(source="bed_bathing.py:71")
 class HumanObs:
-    """What the active person sees and feels."""
+    """Observation of the active person."""
 
     tool_pos_human: Array = column(3, "m", "world axes, from the chest")
     tool_quat_w: Array = column(4, "1 (wxyz)", "world")
@@ -161,7 +161,7 @@ class BedBathing:
     human_obs: type = HumanObs
 
     def start(self, key: Array, robot: str) -> Array:
-        """Where the hand starts, world [m] (1, 3). AG bed_bathing.py reset."""
+        """Return the start position of the hand, world [m] (1, 3). AG bed_bathing.py reset."""
         centre = jnp.array([[-0.6, 0.2, 1.0]])
         return centre + jax.random.uniform(key, (1, 3), minval=-0.05, maxval=0.05)
 
@@ -174,7 +174,7 @@ class BedBathing:
         return BathState(points, exists, exists, _in_world(points, sensed), jnp.float32(0.0))
 
     def _cover(self, length: Array, radius: Array) -> tuple[Array, Array]:
-        """Rings of points around a limb (RINGS * PER_RING, 3), and which of them exist."""
+        """Return rings of points around a limb (RINGS * PER_RING, 3), and which of them exist."""
         d = self.config.spacing
         n_rings = jnp.floor(length / d)
         n_around = jnp.floor(2 * jnp.pi * radius / d)
@@ -199,7 +199,7 @@ class BedBathing:
     def rewards(
         self, state: BathState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Weighted terms. AG bed_bathing.py step; the action is clipped (deviation action-penalty)."""
+        """Return the weighted reward terms. AG bed_bathing.py step; the action is clipped (deviation action-penalty)."""
         c = self.config
         return {
             "distance": -c.distance * sensed.tool.gap,
@@ -214,7 +214,7 @@ class BedBathing:
         }
 
     def observe(self, state: BathState, sensed: Sensed) -> tuple[RobotObs, HumanObs]:
-        """What robot and person see."""
+        """Return the observations of robot and person."""
         s, tool, torso, chest = sensed, sensed.tool, sensed.torso_pos_w, sensed.human_pos_w
         arm_torso, arm_chest = see_arm(s)
         robot = RobotObs(
@@ -236,11 +236,11 @@ class BedBathing:
 
     @property
     def privileged_obs_size(self) -> int:
-        """Entries of ``privileged_obs``."""
+        """Length of ``privileged_obs``."""
         return 2
 
     def privileged_obs(self, state: BathState) -> Array:
-        """Shares of upper arm and forearm that are still to be wiped (privileged_obs_size,)."""
+        """Return the fractions of upper arm and forearm that remain to be wiped (privileged_obs_size,)."""
         return jnp.sum(state.dirty, 1) / jnp.maximum(jnp.sum(state.exists, 1), 1.0)
 
     def success(self, state: BathState) -> Array:
@@ -249,17 +249,17 @@ class BedBathing:
         return total - jnp.sum(state.dirty) >= self.config.wiped * total
 
     def measure(self, state: BathState) -> dict[str, Array]:
-        """Share of the points that have been wiped; they lie at even distances on the skin."""
+        """Return the fraction of the points that have been wiped; they are evenly spaced on the skin."""
         return {"wiped": 1.0 - jnp.sum(state.dirty) / jnp.maximum(jnp.sum(state.exists), 1.0)}
 
     def markers(self, state: BathState) -> list[tuple[Array, float, tuple[float, ...]]]:
-        """Points to draw: those not wiped yet. AG: cyan spheres of 1 cm; drawn smaller here."""
+        """Return the points that are not wiped yet, to be drawn. AG: cyan spheres of 1 cm; drawn smaller here."""
         points = jnp.where(state.dirty[..., None] > 0, state.points_w, jnp.nan)
         return [(points.reshape(-1, 3), 0.006, (0.0, 1.0, 1.0, 1.0))]
 
 
 def _in_world(points: Array, sensed: Sensed) -> Array:
-    """Points of both limbs in the world (2, n, 3)."""
+    """Return the points of both limbs in world coordinates (2, n, 3)."""
     limbs = RIGHT_ARM_LINKS[:2]
     return jnp.stack([
         sensed.link_pos_w[x] + points[i] @ sensed.link_rot_w[x].T for i, x in enumerate(limbs)

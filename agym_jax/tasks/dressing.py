@@ -1,8 +1,8 @@
 """Dressing: pull the sleeve of a hospital gown up the person's left arm.
 
-Assistive Gym v0.1 ``dressing.py`` (reference tasks.md section 6). The person holds the left arm sideways, the
-forearm forwards. The gripper holds the gown at the neck, 0.33 m from the cuff, above the hand, and is paid for how far up the
-arm the cuff has come; 0.4 m, from the tip of the hand along forearm and upper arm, are a success.
+Assistive Gym v0.1 ``dressing.py`` (reference tasks.md section 6). The person holds the left arm out to the side, with the
+forearm pointing forwards. The gripper holds the gown at the neck, 0.33 m from the cuff, above the hand, and is rewarded
+for how far up the arm the cuff has moved; success is 0.4 m, measured from the tip of the hand along forearm and upper arm.
 
 DEVIATION(cloth-force): AG's number of the gown's force is 10 times the position corrections of one solver iteration,
 summed over contacts below 1.1 m and 20 units, with robot and wheelchair among them. Observed and rewarded is what the
@@ -50,26 +50,27 @@ UP = np.array([0.0, 0.0, 1.0], np.float32)
 ARM_LINKS = ("left_upper_arm", "left_forearm", "left_hand")
 """Their origins are the shoulder, the elbow and the wrist."""
 TOUCHABLE = (*ARM_LINKS, "left_girdle", "chest", "waist", "head", "left_thigh")
-"""Limbs that hand and gown may touch."""
+"""Limbs that the hand and the gown may touch."""
 BELOW = ("neck", "right_thigh")
-"""Further limbs that the gown may lie on."""
+"""Further limbs on which the gown may lie."""
 ARMREST = (
     ((0.245, -0.171, 0.685), (0.245, 0.025, 0.685)),
     ((0.298, -0.171, 0.685), (0.298, 0.025, 0.685)),
 )
-"""Ends of its two capsules, world [m]: assets/furniture/wheelchair.xml."""
+"""Ends of the armrest's two capsules, world [m]: assets/furniture/wheelchair.xml."""
 ARMREST_RADIUS = 0.034  # [m]
 FLOOR = 0.0  # its height, world [m]
 START = (0.45, -0.3, 1.2)  # of the hand, world [m]: AG dressing.py reset
 START_SPREAD = 0.05  # [m], AG dressing.py reset
 BELOW_HAND = 0.012
-"""From the end effector down to the middle of the held patch [m] (AG, recorded: 11 to 12 mm)."""
+"""Distance from the end effector down to the middle of the held patch [m] (AG, recorded: 11 to 12 mm)."""
 BEFORE, BESIDE = (0.08, 0.2), (-0.03, 0.06)
-"""The gown begins swung so far forward of the person's hand at its height, and to the person's left [m]: the hand is in the
-mouth of the gown, not in the gown. Seen from its tip, the cloth fills 0.2 to 0.5 of all directions (AG: 0.28 to 0.52); AG's cuff
-is 1 to 5 cm to the left of the gripper. Nearer to the hand, paths of the hand dress people here that miss the sleeve in AG."""
+"""Ranges of how far the gown is initially swung forward of the person's hand, at the height of the hand, and to the person's
+left [m]: the hand is at the opening of the gown, not inside the gown. Seen from the tip of the hand, the cloth fills 0.2 to 0.5
+of all directions (AG: 0.28 to 0.52); AG's cuff is 1 to 5 cm to the left of the gripper. With a gown closer to the hand, hand
+paths that miss the sleeve in AG would dress people here."""
 AG_FORCE = 2.3
-"""AG's number of the gown's force for a newton: benchmarks/parity/gown.py."""
+"""Value of AG's measure of the gown's force that corresponds to one newton: benchmarks/parity/gown.py."""
 LEFT_BESIDE = replace(
     WHEELCHAIR,
     name="wheelchair_left",  # what carries a robot stands on the person's left
@@ -80,13 +81,13 @@ LEFT_BESIDE = replace(
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. AG v0.1 config.ini [dressing] unless said.
+    """Weights and thresholds. AG v0.1 config.ini [dressing] unless noted otherwise.
 
     Attributes:
-        dressing: weight of how far the sleeve has come along the arm [1/m].
+        dressing: weight of how far the sleeve has moved up the arm [1/m].
         action: weight of the squared action [1].
-        dressed: how far it must have come for a success [m].
-        preferences: weights of what people prefer.
+        dressed: how far it must have moved for success [m].
+        preferences: weights of the human-preference terms.
     """
 
     dressing: float = 1.0  # dressing_reward_weight
@@ -98,7 +99,7 @@ class Config:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class DressState:
-    """The gown of one episode and how far it has come."""
+    """The gown of one episode and its progress up the arm."""
 
     cloth: Cloth
     slid: Array  # how far it has slid through the fingers, world [m]           (3,)
@@ -111,7 +112,7 @@ class DressState:
 
 @observation(source="dressing.py _get_obs")
 class RobotObs:
-    """What the robot sees."""
+    """Observation of the robot."""
 
     hand_pos_torso: Array = column(3, "m", "world axes, from the robot's torso")
     hand_quat_w: Array = column(4, "1 (wxyz)", "world")
@@ -122,7 +123,7 @@ class RobotObs:
 
 @observation(source="dressing.py _get_obs")
 class HumanObs:
-    """What the active person sees and feels."""
+    """Observation of the active person."""
 
     hand_pos_human: Array = column(3, "m", "world axes, from the chest")
     hand_quat_w: Array = column(4, "1 (wxyz)", "world")
@@ -183,14 +184,14 @@ class Dressing:
         """Load the garment and build its tables, when a scene is built rather than when the task is imported.
 
         Raises:
-            GarmentError: it could not be worn or simulated; with the edge, triangle or loop that is wrong.
-            MissingAssetError: there is no such file.
+            GarmentError: if it cannot be worn or simulated; the message names the faulty edge, triangle or loop.
+            MissingAssetError: if there is no such file.
         """
         _ = self.spec, self.watched
 
     @cached_property
     def gown(self) -> Garment:
-        """What is put on, hanging."""
+        """The garment that is put on, in its hanging shape."""
         garment = load(self.garment)
         if garment.hanging is not None:
             return garment
@@ -199,21 +200,21 @@ class Dressing:
 
     @cached_property
     def spec(self) -> ClothSpec:
-        """The same for the solver."""
+        """The garment as the cloth solver represents it."""
         return build_cloth(self.gown, self.fabric)
 
     @cached_property
     def watched(self) -> np.ndarray:
-        """Vertices of the two triangles that span the cuff (2, 3)."""
+        """Vertex indices of the two triangles that span the cuff (2, 3)."""
         return sleeve.watched_vertices(self.gown)
 
     def start(self, key: Array, robot: str) -> Array:
-        """Where the hand starts, world [m] (1, 3)."""
+        """Return the start position of the hand, world [m] (1, 3)."""
         noise = jax.random.uniform(key, (1, 3), minval=-START_SPREAD, maxval=START_SPREAD)
         return jnp.array([START]) + noise
 
     def init(self, key: Array, sensed: Sensed) -> DressState:
-        """The gown hangs from the gripper, at rest, before the person's hand."""
+        """Start with the gown hanging from the gripper, at rest, in front of the person's hand."""
         nowhere, zero = jnp.bool_(False), jnp.float32(0.0)
         held_w = sensed.tool.pos_w - BELOW_HAND * UP
         cloth = fabrics.initial(self.spec, held_w)
@@ -233,7 +234,7 @@ class Dressing:
         return self._judge(state, sensed)
 
     def advance(self, state: DressState, sensed: Sensed) -> tuple[DressState, dict[str, Array]]:
-        """Let the gown move with the hand, and see how far up the arm it is."""
+        """Simulate the gown as the hand moves, and measure how far up the arm it is."""
         state, touch = self._move(state, sensed)
         limbs = len(TOUCHABLE) + len(BELOW)
         # a gown that blew up is put back; NaN is what the environment's guard ends episodes for
@@ -241,7 +242,7 @@ class Dressing:
         return self._judge(replace(state, force=force), sensed), {}
 
     def _move(self, state: DressState, sensed: Sensed) -> tuple[DressState, ClothContact]:
-        """The gown after the n physics steps of a control step, and what was felt in each."""
+        """Return the gown after the n physics steps of a control step, and its contacts in each of them."""
         motion = sensed.motion
         limbs = (*TOUCHABLE, *BELOW)
         a, b, radius = link_capsules(sensed.dims, limbs, motion.link_pos_w, motion.link_rot_w)
@@ -265,7 +266,7 @@ class Dressing:
         return replace(state, cloth=cloth, slid=slid), touch
 
     def _judge(self, state: DressState, sensed: Sensed) -> DressState:
-        """How far up the arm the cuff is."""
+        """Measure how far up the arm the cuff is."""
         points, arm = state.cloth.pos_w[self.watched], arm_of(sensed)
         on_arm = sleeve.sleeve_state(points, arm).after(state.on_arm)
         dressed = sleeve.dressing_distance(points, arm, on_arm)
@@ -280,7 +281,7 @@ class Dressing:
     def rewards(
         self, state: DressState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Weighted terms. AG dressing.py step; the action is clipped (deviation action-penalty)."""
+        """Return the weighted reward terms. AG dressing.py step; the action is clipped (deviation action-penalty)."""
         c = self.config
         return {
             "dressing": c.dressing * state.dressed,
@@ -289,7 +290,7 @@ class Dressing:
         }
 
     def observe(self, state: DressState, sensed: Sensed) -> tuple[RobotObs, HumanObs]:
-        """What robot and person see; not the gown, but what the arm feels of it."""
+        """Return the observations of robot and person: not the gown itself, but its force on the arm."""
         s, hand, force = sensed, sensed.tool, felt(state)
         joints = [s.link_pos_w[link] for link in ARM_LINKS]
         robot = RobotObs(
@@ -311,11 +312,11 @@ class Dressing:
 
     @property
     def privileged_obs_size(self) -> int:
-        """Entries of ``privileged_obs``."""
+        """Length of ``privileged_obs``."""
         return 10
 
     def privileged_obs(self, state: DressState) -> Array:
-        """What the sleeve is on, how far, and where its cuff is from what is held (privileged_obs_size,)."""
+        """Return which part of the arm the sleeve is on, how far, and the cuff relative to the grip (privileged_obs_size,)."""
         on, pos = state.on_arm, state.cloth.pos_w
         flags = [on.forearm, on.upper_arm, on.steps_off / sleeve.MEMORY_STEPS, state.dressed]
         off = pos[self.watched].mean((0, 1)) - pos[self.spec.garment.anchors].mean(0)
@@ -324,32 +325,32 @@ class Dressing:
         )
 
     def success(self, state: DressState) -> Array:
-        """Whether the sleeve has been far enough up the arm ()."""
+        """Whether the sleeve has been far enough up the arm at any time ()."""
         return state.best >= self.config.dressed
 
     def measure(self, state: DressState) -> dict[str, Array]:
-        """How far the cuff is up the arm now: 0 at the tip of the hand, 1 at the shoulder."""
+        """Return how far up the arm the cuff is now: 0 at the tip of the hand, 1 at the shoulder."""
         return {"covered": state.progress}
 
     def markers(self, state: DressState) -> list[tuple[Array, float, tuple[float, ...]]]:
-        """Nothing: the gown is a surface."""
+        """Return no markers: the gown is drawn as a surface."""
         return []
 
     def surfaces(self, state: DressState) -> list[Surface]:
-        """The gown."""
+        """Return the gown's surface."""
         return [Surface(state.cloth.pos_w, self.gown.triangles, (0.55, 0.76, 0.86, 1.0))]
 
 
 def felt(state: DressState) -> Array:
-    """AG's number of what the gown presses on the person ()."""
+    """Return the force of the gown on the person in AG's measure ()."""
     return AG_FORCE * jnp.sum(state.force)
 
 
 def swung(pos_w: Array, held_w: Array, hand_w: Array, off: Array) -> Array:
-    """A hanging gown, swung to before a hand, world [m] (n, 3).
+    """Swing a hanging gown to a place in front of a hand, world [m] (n, 3).
 
     Args:
-        pos_w: vertices, hanging straight [m] (n, 3).
+        pos_w: vertices of the gown hanging straight down [m] (n, 3).
         held_w: where it is held [m] (3,).
         hand_w: tip of the person's hand [m] (3,).
         off: how far it is swung at the height of the hand, to the person's left and forward of the hand [m] (2,).
@@ -360,17 +361,17 @@ def swung(pos_w: Array, held_w: Array, hand_w: Array, off: Array) -> Array:
 
 
 def held_at(spec: ClothSpec, hand_w: Array) -> Array:
-    """Where the held vertices are, world [m] (a, 3): the patch keeps its direction, as AG's does.
+    """Return the positions of the held vertices, world [m] (a, 3): the patch keeps its orientation, as in AG.
 
     Args:
-        spec: of the cloth.
-        hand_w: of the gripper [m] (3,).
+        spec: specification of the cloth.
+        hand_w: position of the gripper [m] (3,).
     """
     return fabrics.anchor_positions(spec, hand_w - BELOW_HAND * UP)
 
 
 def arm_of(sensed: Sensed) -> sleeve.SleeveArm:
-    """The arm that is dressed. Its hand, elbow and shoulder are as thick as the upper arm, as in AG."""
+    """Return the arm being dressed. Its hand, elbow and shoulder are as thick as the upper arm, as in AG."""
     shoulder, elbow, wrist = (sensed.link_pos_w[link] for link in ARM_LINKS)
     return sleeve.SleeveArm(shoulder, elbow, wrist, sensed.dims.upper_arm_r)
 

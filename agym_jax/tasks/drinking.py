@@ -1,8 +1,8 @@
 """Drinking: bring a cup of water to the person's mouth and pour.
 
-Assistive Gym v0.1 ``drinking.py`` (reference tasks.md section 5). The cup holds 64 drops. Of those outside
-of it, one within 3 cm of the mouth is drunk, one below 0.5 m is spilled, one that touches the person
-elsewhere is a nuisance. 48 drops drunk are a success.
+Assistive Gym v0.1 ``drinking.py`` (reference tasks.md section 5). The cup holds 64 drops. A drop outside the cup counts as
+drunk within 3 cm of the mouth, as spilled below a height of 0.5 m, and is penalised if it touches the person elsewhere.
+The task succeeds when 48 drops have been drunk.
 
 DEVIATION(cup-tilt): the tilt reward is AG's, -|roll of the cup's frame - that of a cup that lies before the
 person|, but the difference of the two angles is taken on the circle. AG subtracts them as numbers: for an
@@ -43,24 +43,24 @@ _H = 0.5**0.5
 CUP_MASS, DROP_MASS = 0.01, 0.001  # AG drinking.py, world_creation.py [kg]
 GRAVITY = 9.81  # on the cup and the water [m/s^2], the same
 BOTTOM, TOP, RADIUS = -0.01, 0.115, 0.05
-"""Ends along the cup's axis, from its origin, and radius of what counts as its inside [m]. AG drinking.py."""
+"""Ends along the cup's axis, relative to its origin, and radius of the cylinder that counts as its inside [m]. AG drinking.py."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. AG v0.1 config.ini [drinking] unless said.
+    """Weights and thresholds. AG v0.1 config.ini [drinking] unless noted otherwise.
 
     Attributes:
         distance: weight of the distance from the cup's rim to the mouth [1/m].
         action: weight of the squared action [1].
         tilt: weight of the cup's tilt [1/rad].
-        water: weight of what drops of water earn [1].
-        drunk: what each drop that is drunk earns [1].
-        spilled: what each drop that is spilled costs [1].
-        mouth: distance from the mouth at which a drop is drunk [m].
+        water: weight of the rewards and costs of drops of water [1].
+        drunk: reward for each drop that is drunk [1].
+        spilled: cost of each drop that is spilled [1].
+        mouth: distance from the mouth within which a drop is drunk [m].
         fallen: height below which a drop is spilled [m].
-        share: share of the drops to be drunk for a success [1].
-        preferences: weights of what people prefer.
+        share: fraction of the drops that must be drunk for success [1].
+        preferences: weights of the human-preference terms.
     """
 
     distance: float = 1.0  # distance_weight
@@ -78,7 +78,7 @@ class Config:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class DrinkState:
-    """The water of one episode and where it has gone."""
+    """The water of one episode and what has become of it."""
 
     water: Particles
     drunk: Array  # how many drops                                              ()
@@ -99,7 +99,7 @@ CUP = ToolSpec(
     n_working=6,
 )
 INSIDE = Pose((0.0, 0.0, 0.0), (_H, -_H, 0.0, 0.0))
-"""The frame of ``matter.particles.containers.CUP`` in the tool's."""
+"""Frame of ``matter.particles.containers.CUP`` in the tool's frame."""
 
 
 @dataclass(frozen=True)
@@ -137,20 +137,20 @@ class Drinking:
     human_obs: type = meals.HumanObs
 
     def __post_init__(self) -> None:
-        """Refuse what could not be simulated well.
+        """Reject settings that cannot be simulated accurately.
 
         Raises:
-            MatterError: more drops than the vessel holds, or too long steps; with the limit.
+            MatterError: if there are more drops than the vessel holds, or the steps are too long; the message gives the limit.
         """
         check(self.water, self.control.time_step, meals.THINNEST)
 
     def start(self, key: Array, robot: str) -> Array:
-        """Where the hand starts, world [m] (1, 3). AG drinking.py reset."""
+        """Return the start position of the hand, world [m] (1, 3). AG drinking.py reset."""
         centre = jnp.array([[-0.2, -0.5, 1.0]])
         return centre + jax.random.uniform(key, (1, 3), minval=-0.05, maxval=0.05)
 
     def init(self, key: Array, sensed: Sensed) -> DrinkState:
-        """A cup of water, as it has settled for this tilt."""
+        """Start with a cup of water that has settled at this tilt."""
         tool = sensed.tool
         inside = child_pose(tool.pos_w, tool.quat_w, INSIDE.pos, INSIDE.quat)
         water = fill(load_fill("cup"), *inside)
@@ -166,7 +166,7 @@ class Drinking:
         )
 
     def advance(self, state: DrinkState, sensed: Sensed) -> tuple[DrinkState, dict[str, Array]]:
-        """Let the water move with the cup, and see what has become of every drop."""
+        """Simulate the water as the cup moves, and determine what has become of every drop."""
         mouth = sensed.mouth_pos_w
         around = meals.obstacles(sensed, INSIDE, no_boxes())
         water, contact = advance(self.water, state.water, around, self.control.time_step)
@@ -191,13 +191,13 @@ class Drinking:
         }  # fmt: skip
 
     def load(self, state: DrinkState) -> tuple[Array, Array]:
-        """Weight of the cup and the water in it [N] (), and where it acts, world [m] (3,)."""
+        """Return the weight of the cup and the water in it [N] (), and where it acts, world [m] (3,)."""
         return GRAVITY * (CUP_MASS + DROP_MASS * state.held), state.centre_w
 
     def rewards(
         self, state: DrinkState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Weighted terms. AG drinking.py step; the action is clipped (deviation action-penalty)."""
+        """Return the weighted reward terms. AG drinking.py step; the action is clipped (deviation action-penalty)."""
         c, tool = self.config, sensed.tool
         top = tool.pos_w + TOP * axis(tool.quat_w)
         distance = jnp.linalg.norm(state.mouth_pos_w - top)
@@ -216,29 +216,29 @@ class Drinking:
         }
 
     def observe(self, state: DrinkState, sensed: Sensed) -> tuple[meals.RobotObs, meals.HumanObs]:
-        """What robot and person see."""
+        """Return the observations of robot and person."""
         return meals.observe(sensed)
 
     @property
     def privileged_obs_size(self) -> int:
-        """Entries of ``privileged_obs``."""
+        """Length of ``privileged_obs``."""
         return meals.PRIVILEGED_OBS_SIZE
 
     def privileged_obs(self, state: DrinkState) -> Array:
-        """How much water is left and where (privileged_obs_size,)."""
+        """Return how much water is left and where it is (privileged_obs_size,)."""
         return meals.privileged_obs(state.water, state.drunk, state.mouth_pos_w)
 
     def success(self, state: DrinkState) -> Array:
-        """Whether three quarters of the water have been drunk ()."""
+        """Whether three quarters of the water has been drunk ()."""
         return state.drunk >= self.config.share * self.water.count
 
     def measure(self, state: DrinkState) -> dict[str, Array]:
-        """Shares of the drops that have been drunk and spilled."""
+        """Return the fractions of the drops that have been drunk and spilled."""
         drunk, spilled = meals.delivered(state.water, state.drunk, state.lost)
         return {"drunk": drunk, "spilled": spilled}
 
     def markers(self, state: DrinkState) -> list[tuple[Array, float, tuple[float, ...]]]:
-        """The water that is still there, and AG's green sphere at the mouth."""
+        """Return the remaining water, and AG's green sphere at the mouth."""
         return [
             (meals.drawn(state.water.pos_w, state.water.alive), self.water.radius, (0.25, 0.5, 1.0, 1.0)),
             (state.mouth_pos_w, 0.01, (0.0, 1.0, 0.0, 1.0)),
@@ -246,16 +246,16 @@ class Drinking:
 
 
 def axis(cup_quat_w: Array) -> Array:
-    """Where the cup opens to: its y axis in the world (3,)."""
+    """Return the direction of the cup's opening: its y axis in the world (3,)."""
     return rotation_matrix(cup_quat_w, normalize=True)[:, 1]
 
 
 def side_of(cup_quat_w: Array, to_mouth_w: Array) -> Array:
-    """Whether an upright cup's z axis rises (1) or falls (-1) when it tips towards the person ().
+    """Return whether an upright cup's z axis rises (1) or falls (-1) when it tips towards the person ().
 
     Args:
-        cup_quat_w: wxyz (4,).
-        to_mouth_w: from the cup to the mouth (3,).
+        cup_quat_w: orientation of the cup, wxyz (4,).
+        to_mouth_w: vector from the cup to the mouth (3,).
     """
     return jnp.where(
         jnp.dot(rotation_matrix(cup_quat_w, normalize=True)[:, 2], to_mouth_w) > 0, -1.0, 1.0
@@ -263,7 +263,7 @@ def side_of(cup_quat_w: Array, to_mouth_w: Array) -> Array:
 
 
 def tipped(cup_quat_w: Array, side: Array) -> Array:
-    """How far the cup is tipped towards the person about its x axis, in (-pi, pi] [rad] ().
+    """Return how far the cup is tipped towards the person about its x axis, in (-pi, pi] [rad] ().
 
     Args:
         cup_quat_w: wxyz (4,).
@@ -276,7 +276,7 @@ def tipped(cup_quat_w: Array, side: Array) -> Array:
 
 
 def tilt_reward(cup_quat_w: Array, side: Array) -> Array:
-    """Minus the angle, at most pi, between how the cup is tipped and lying before the person [rad] ().
+    """Return minus the angle, at most pi, between the cup's tilt and that of a cup lying in front of the person [rad] ().
 
     Args:
         cup_quat_w: wxyz (4,).
@@ -287,7 +287,7 @@ def tilt_reward(cup_quat_w: Array, side: Array) -> Array:
 
 
 def in_cup(points_w: Array, cup_pos_w: Array, cup_quat_w: Array) -> Array:
-    """Which points (n, 3) count as inside of the cup: AG's cylinder (n,)."""
+    """Return which points (n, 3) count as inside the cup: AG's cylinder (n,)."""
     up, away = axis(cup_quat_w), points_w - cup_pos_w
     height = away @ up
     radius = jnp.linalg.norm(away - height[:, None] * up, axis=-1)
@@ -295,12 +295,12 @@ def in_cup(points_w: Array, cup_pos_w: Array, cup_quat_w: Array) -> Array:
 
 
 def held_by(water: Particles, cup_pos_w: Array, cup_quat_w: Array) -> tuple[Array, Array]:
-    """How many drops are inside of the cup (), and the centre of mass of it and them, world [m] (3,).
+    """Return the number of drops inside the cup (), and the centre of mass of the cup and these drops, world [m] (3,).
 
     Args:
-        water: now.
-        cup_pos_w: [m] (3,).
-        cup_quat_w: wxyz (4,).
+        water: current state of the water.
+        cup_pos_w: position of the cup [m] (3,).
+        cup_quat_w: orientation of the cup, wxyz (4,).
     """
     inside = (water.alive & in_cup(water.pos_w, cup_pos_w, cup_quat_w)).astype(jnp.float32)
     held = jnp.sum(inside)
@@ -315,15 +315,15 @@ def outcome_of(
     config: Config, water: Particles, contact: Contact, mouth_pos_w: Array, cup_pos_w: Array,
     cup_quat_w: Array,
 ) -> Outcome:  # fmt: skip
-    """What has become of every drop outside of the cup, in AG's order: drunk, else spilled, else a hit.
+    """Classify every drop outside the cup, in AG's order: drunk, otherwise spilled, otherwise a hit.
 
     Args:
         config: thresholds.
-        water: at the end of the control step.
-        contact: what it touched in the last physics step of it.
-        mouth_pos_w: now [m] (3,).
-        cup_pos_w: now [m] (3,).
-        cup_quat_w: now, wxyz (4,).
+        water: water at the end of the control step.
+        contact: contacts of the drops in the last physics step of the control step.
+        mouth_pos_w: current position of the mouth [m] (3,).
+        cup_pos_w: current position of the cup [m] (3,).
+        cup_quat_w: current orientation of the cup, wxyz (4,).
     """
     out = water.alive & ~in_cup(water.pos_w, cup_pos_w, cup_quat_w)
     drunk = out & (jnp.linalg.norm(water.pos_w - mouth_pos_w, axis=-1) < config.mouth)

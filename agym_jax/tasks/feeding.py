@@ -1,8 +1,8 @@
 """Feeding: bring a spoonful of food to the person's mouth.
 
-Assistive Gym v0.1 ``feeding.py`` (reference tasks.md section 4). Eight pieces lie in the spoon. A piece
-within 2 cm of the mouth is eaten; one that falls below 0.5 m or touches table or bowl is spilled; one
-that touches the person elsewhere is a nuisance, once. Six pieces eaten are a success.
+Assistive Gym v0.1 ``feeding.py`` (reference tasks.md section 4). Eight pieces of food lie in the spoon. A piece within
+2 cm of the mouth counts as eaten; one that falls below 0.5 m or touches the table or the bowl counts as spilled; one that
+touches the person elsewhere is penalised once. The task succeeds when six pieces have been eaten.
 
 DEVIATION(bowl-draw): the bowl's place and the spoon's start are drawn independently; in AG the spoon
 starts 0.4 m above the bowl, wherever that stands.
@@ -34,29 +34,29 @@ from agym_jax.tasks.shared.meals import Outcome
 
 _H = 0.5**0.5
 ABOVE_BOWL = (0.0, -0.1, 0.425)
-"""Of the hand's start, from where the bowl stands [m]. AG feeding.py reset: 0.4 above its middle."""
+"""Start position of the hand relative to the bowl's place [m]. AG feeding.py reset: 0.4 above its middle."""
 BOWL_SPREAD = (0.05, 0.05, 0.0)  # [m], AG feeding.py reset
 START_SPREAD = 0.05  # [m], AG feeding.py reset
 TABLE_TOP = ((0.0, 0.0, 0.7), (0.75, 0.5, 0.025))
-"""Middle, from the table's place, and half sizes [m]. furniture.md section 4."""
+"""Centre of the table top, relative to the table's place, and half sizes [m]. furniture.md section 4."""
 BOWL_BOX = ((0.0, 0.0, 0.03), (0.064, 0.064, 0.03))
-"""Of the bowl: a cylinder of radius 0.072 and height 0.06 [m]. furniture.md section 5."""
+"""The same for the bowl, a cylinder of radius 0.072 and height 0.06 [m]. furniture.md section 5."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. AG v0.1 config.ini [feeding] unless said.
+    """Weights and thresholds. AG v0.1 config.ini [feeding] unless noted otherwise.
 
     Attributes:
         distance: weight of the distance from spoon to mouth [1/m].
         action: weight of the squared action [1].
-        food: weight of what pieces of food earn [1].
-        eaten: what each piece that is eaten earns [1].
-        spilled: what each piece that is spilled costs [1].
-        mouth: distance from the mouth at which a piece is eaten [m].
+        food: weight of the rewards and costs of pieces of food [1].
+        eaten: reward for each piece that is eaten [1].
+        spilled: cost of each piece that is spilled [1].
+        mouth: distance from the mouth within which a piece is eaten [m].
         fallen: height below which a piece is spilled [m].
-        share: share of the pieces to be eaten for a success [1].
-        preferences: weights of what people prefer.
+        share: fraction of the pieces that must be eaten for success [1].
+        preferences: weights of the human-preference terms.
     """
 
     distance: float = 1.0  # distance_weight
@@ -73,7 +73,7 @@ class Config:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FeedState:
-    """The food of one episode and where it has gone."""
+    """The food of one episode and what has become of it."""
 
     food: Particles
     has_hit: Array  # pieces that have touched the person                       (n,) bool
@@ -94,7 +94,7 @@ SPOON = ToolSpec(
     n_working=3,
 )  # fmt: skip
 DISH = Pose(SPOON_ORIGIN_IN_AG, (_H, -_H, 0.0, 0.0))
-"""The frame of ``matter.particles.containers.SPOON`` in the tool's."""
+"""Frame of ``matter.particles.containers.SPOON`` in the tool's frame."""
 
 
 @dataclass(frozen=True)
@@ -125,21 +125,21 @@ class Feeding:
     human_obs: type = meals.HumanObs
 
     def __post_init__(self) -> None:
-        """Refuse what could not be simulated well.
+        """Reject settings that cannot be simulated accurately.
 
         Raises:
-            MatterError: more pieces than the vessel holds, or too long steps; with the limit.
+            MatterError: if there are more pieces than the vessel holds, or the steps are too long; the message gives the limit.
         """
         check(self.food, self.control.time_step, meals.THINNEST)
 
     def start(self, key: Array, robot: str) -> Array:
-        """Where the hand starts, world [m] (1, 3): above the bowl. AG feeding.py reset."""
+        """Return the start position of the hand, above the bowl, world [m] (1, 3). AG feeding.py reset."""
         key_bowl, key_hand = jax.random.split(key)
         noise = jax.random.uniform(key_hand, (1, 3), minval=-START_SPREAD, maxval=START_SPREAD)
         return _draw_bowl(key_bowl) + jnp.array(ABOVE_BOWL) + noise
 
     def init(self, key: Array, sensed: Sensed) -> FeedState:
-        """A full spoon, as it has settled for this tilt, and a bowl somewhere near its place."""
+        """Start with a full spoon, settled at this tilt, and a bowl somewhere near its place."""
         tool = sensed.tool
         dish = child_pose(tool.pos_w, tool.quat_w, DISH.pos, DISH.quat)
         return FeedState(
@@ -152,7 +152,7 @@ class Feeding:
         )
 
     def advance(self, state: FeedState, sensed: Sensed) -> tuple[FeedState, dict[str, Array]]:
-        """Let the food move with the spoon, and see what has become of every piece."""
+        """Simulate the food as the spoon moves, and determine what has become of every piece."""
         mouth = sensed.mouth_pos_w
         around = meals.obstacles(sensed, DISH, _furniture(state.bowl_pos_w))
         food, contact = advance(self.food, state.food, around, self.control.time_step)
@@ -174,7 +174,7 @@ class Feeding:
     def rewards(
         self, state: FeedState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Weighted terms. AG feeding.py step; the action is clipped (deviation action-penalty)."""
+        """Return the weighted reward terms. AG feeding.py step; the action is clipped (deviation action-penalty)."""
         c = self.config
         distance = jnp.linalg.norm(state.mouth_pos_w - sensed.tool.pos_w)
         return {
@@ -191,50 +191,50 @@ class Feeding:
         }
 
     def observe(self, state: FeedState, sensed: Sensed) -> tuple[meals.RobotObs, meals.HumanObs]:
-        """What robot and person see."""
+        """Return the observations of robot and person."""
         return meals.observe(sensed)
 
     @property
     def privileged_obs_size(self) -> int:
-        """Entries of ``privileged_obs``."""
+        """Length of ``privileged_obs``."""
         return meals.PRIVILEGED_OBS_SIZE
 
     def privileged_obs(self, state: FeedState) -> Array:
-        """How much food is left and where (privileged_obs_size,)."""
+        """Return how much food is left and where it is (privileged_obs_size,)."""
         return meals.privileged_obs(state.food, state.eaten, state.mouth_pos_w)
 
     def success(self, state: FeedState) -> Array:
-        """Whether three quarters of the food have been eaten ()."""
+        """Whether three quarters of the food has been eaten ()."""
         return state.eaten >= self.config.share * self.food.count
 
     def measure(self, state: FeedState) -> dict[str, Array]:
-        """Shares of the pieces that have been eaten and spilled."""
+        """Return the fractions of the pieces that have been eaten and spilled."""
         eaten, spilled = meals.delivered(state.food, state.eaten, state.lost)
         return {"eaten": eaten, "spilled": spilled}
 
     def markers(self, state: FeedState) -> list[tuple[Array, float, tuple[float, ...]]]:
-        """The food that is still there, and AG's green sphere at the mouth."""
+        """Return the remaining food, and AG's green sphere at the mouth."""
         return [
             (meals.drawn(state.food.pos_w, state.food.alive), self.food.radius, (0.86, 0.42, 0.24, 1.0)),
             (state.mouth_pos_w, 0.01, (0.0, 1.0, 0.0, 1.0)),
         ]  # fmt: skip
 
     def props(self, state: FeedState) -> dict[str, Array]:
-        """Where the bowl stands, world [m] (3,)."""
+        """Return the position of the bowl, world [m] (3,)."""
         return {BOWL.name: state.bowl_pos_w}
 
 
 def outcome_of(
     config: Config, food: Particles, contact: Contact, has_hit: Array, mouth_pos_w: Array
 ) -> Outcome:
-    """What has become of every piece, in AG's order: eaten, else spilled, else a first hit.
+    """Classify every piece, in AG's order: eaten, otherwise spilled, otherwise a first hit.
 
     Args:
         config: thresholds.
-        food: at the end of the control step.
-        contact: what it touched in the last physics step of it.
-        has_hit: pieces that touched the person before (n,).
-        mouth_pos_w: now [m] (3,).
+        food: food at the end of the control step.
+        contact: contacts of the pieces in the last physics step of the control step.
+        has_hit: pieces that have touched the person before (n,).
+        mouth_pos_w: current position of the mouth [m] (3,).
     """
     away = jnp.linalg.norm(food.pos_w - mouth_pos_w, axis=-1)
     eaten = food.alive & (away < config.mouth)
@@ -246,13 +246,13 @@ def outcome_of(
 
 
 def _draw_bowl(key: Array) -> Array:
-    """Where a bowl stands, world [m] (3,)."""
+    """Draw the position of the bowl, world [m] (3,)."""
     spread = jnp.array(BOWL_SPREAD)
     return jnp.array(BOWL.pose.pos) + spread * jax.random.uniform(key, (3,), minval=-1.0)
 
 
 def _furniture(bowl_pos_w: Array) -> Boxes:
-    """Table and bowl."""
+    """Return the boxes of table and bowl."""
     (top, top_half), (bowl, bowl_half) = TABLE_TOP, BOWL_BOX
     return Boxes(
         pos_w=jnp.stack([jnp.array(TABLE.pose.pos) + jnp.array(top), bowl_pos_w + jnp.array(bowl)]),

@@ -1,8 +1,8 @@
-"""ScratchItch: find the itch on the person's right arm and scratch it, gently.
+"""ScratchItch: find the itch on the person's right arm and scratch it gently.
 
-Assistive Gym v0.1 ``scratch_itch.py`` (reference tasks.md section 2). The itch lies on the right upper
-arm or forearm and moves with it. A scratch counts when the tool touches within 2.5 cm of the itch with
-less than 10 N, more than 1 cm away from where the last one counted; 25 scratches are a success.
+Assistive Gym v0.1 ``scratch_itch.py`` (reference tasks.md section 2). The itch lies on the right upper arm or forearm and
+moves with it. A scratch counts if the tool touches the person within 2.5 cm of the itch with less than 10 N, and more than
+1 cm from where the last scratch counted. The task succeeds after 25 scratches.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ _RAD = math.pi / 180.0
 
 @dataclass(frozen=True)
 class Config:
-    """Weights and thresholds. AG v0.1 config.ini [scratch_itch] unless said.
+    """Weights and thresholds. AG v0.1 config.ini [scratch_itch] unless noted otherwise.
 
     Attributes:
         distance: weight of the distance from tool to itch [1/m].
         action: weight of the squared action [1].
         tool_force: weight of the force at the itch [1/N].
         scratch: weight of the force of a scratch that counts [1/N].
-        scratches: how many make a success [1].
-        target_radius: how far from the itch a contact may be [m].
-        stroke: how far from the last scratch the next one must be [m].
+        scratches: number of scratches required for success [1].
+        target_radius: largest distance of a contact from the itch [m].
+        stroke: smallest distance of a scratch from the previous one [m].
         gentle: largest force of a scratch that counts [N].
-        preferences: weights of what people prefer.
+        preferences: weights of the human-preference terms.
     """
 
     distance: float = 1.0  # distance_weight
@@ -56,7 +56,7 @@ class Config:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ItchState:
-    """The itch of one episode and what has been done about it."""
+    """The itch of one episode and the scratches so far."""
 
     on_forearm: Array  # the limb: 0 upper arm, 1 forearm                       ()
     target_limb: Array  # the itch in the limb's frame [m]                     (3,)
@@ -68,7 +68,7 @@ class ItchState:
 
 @observation(source="scratch_itch.py:74")
 class RobotObs:
-    """What the robot sees."""
+    """Observation of the robot."""
 
     tool_pos_torso: Array = column(3, "m", "world axes, from the robot's torso")
     tool_quat_w: Array = column(4, "1 (wxyz)", "world")
@@ -81,7 +81,7 @@ class RobotObs:
 
 @observation(source="scratch_itch.py:79")
 class HumanObs:
-    """What the active person sees and feels."""
+    """Observation of the active person."""
 
     tool_pos_human: Array = column(3, "m", "world axes, from the chest")
     tool_quat_w: Array = column(4, "1 (wxyz)", "world")
@@ -147,7 +147,7 @@ class ScratchItch:
     human_obs: type = HumanObs
 
     def start(self, key: Array, robot: str) -> Array:
-        """Where the hand starts, world [m] (1, 3). AG scratch_itch.py reset."""
+        """Return the start position of the hand, world [m] (1, 3). AG scratch_itch.py reset."""
         centre = jnp.array([[-0.5 if robot == "Jaco" else -0.55, 0.0, 0.8]])
         return centre + jax.random.uniform(key, (1, 3), minval=-0.05, maxval=0.05)
 
@@ -196,7 +196,7 @@ class ScratchItch:
     def rewards(
         self, state: ItchState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Weighted terms. AG scratch_itch.py step; the action is clipped (deviation action-penalty)."""
+        """Return the weighted reward terms. AG scratch_itch.py step; the action is clipped (deviation action-penalty)."""
         c = self.config
         distance = jnp.linalg.norm(state.target_pos_w - sensed.tool.pos_w)
         return {
@@ -213,7 +213,7 @@ class ScratchItch:
         }
 
     def observe(self, state: ItchState, sensed: Sensed) -> tuple[RobotObs, HumanObs]:
-        """What robot and person see."""
+        """Return the observations of robot and person."""
         s, tool, torso, chest = sensed, sensed.tool, sensed.torso_pos_w, sensed.human_pos_w
         arm_torso, arm_chest = see_arm(s)
         robot = RobotObs(
@@ -242,16 +242,16 @@ class ScratchItch:
         return state.scratches >= self.config.scratches
 
     def measure(self, state: ItchState) -> dict[str, Array]:
-        """Scratches that have counted."""
+        """Return the number of scratches that have counted."""
         return {"scratches": state.scratches}
 
     def markers(self, state: ItchState) -> list[tuple[Array, float, tuple[float, ...]]]:
-        """Points to draw: world position, radius [m], colour. AG: a cyan sphere of 1 cm."""
+        """Return the points to draw: world position, radius [m], colour. AG: a cyan sphere of 1 cm."""
         return [(state.target_pos_w, 0.01, (0.0, 1.0, 1.0, 1.0))]
 
 
 def _follow_limb(state: ItchState, sensed: Sensed) -> ItchState:
-    """The itch in the world, on the limb as it now is."""
+    """Return the itch in world coordinates, on the current pose of the limb."""
     on_forearm = state.on_forearm > 0
     upper, fore, _ = RIGHT_ARM_LINKS
     pos = jnp.where(on_forearm, sensed.link_pos_w[fore], sensed.link_pos_w[upper])

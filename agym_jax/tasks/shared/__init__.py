@@ -1,1 +1,1 @@
-"""What several tasks have in common."""
+"""Code shared by several tasks."""

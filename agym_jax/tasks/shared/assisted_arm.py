@@ -1,6 +1,6 @@
-"""The arm that is helped, in observations: what Assistive Gym's tasks about the right arm share.
+"""Observations of the assisted arm, shared by Assistive Gym's tasks that involve the right arm.
 
-Each task's record has one of these as a ``part``, and gives it the source of its own columns.
+Each task's record includes one of these as a ``part``, whose columns take the record's source.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from agym_jax.sense import Sensed
 
 @observation
 class ArmFromTorso:
-    """The arm as the robot sees it."""
+    """The arm as observed by the robot."""
 
     shoulder_pos_torso: Array = column(3, "m", "world axes, from the torso")
     elbow_pos_torso: Array = column(3, "m", "world axes, from the torso")
@@ -23,7 +23,7 @@ class ArmFromTorso:
 
 @observation
 class ArmFromChest:
-    """The arm as the active person feels it."""
+    """The arm as observed by the active person."""
 
     shoulder_pos_human: Array = column(3, "m", "world axes, from the chest")
     elbow_pos_human: Array = column(3, "m", "world axes, from the chest")
@@ -31,7 +31,7 @@ class ArmFromChest:
 
 
 def see_arm(sensed: Sensed) -> tuple[ArmFromTorso, ArmFromChest]:
-    """The arm as robot and person see it."""
+    """Return the arm as observed by robot and person."""
     joints = [sensed.link_pos_w[link] for link in RIGHT_ARM_LINKS]
     return (
         ArmFromTorso(*(joint - sensed.torso_pos_w for joint in joints)),

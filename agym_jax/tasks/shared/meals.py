@@ -1,4 +1,4 @@
-"""What Feeding and Drinking share: the person who is helped, what both see, and what particles meet.
+"""Code shared by Feeding and Drinking: the person, the observations, and the obstacles of the particles.
 
 Assistive Gym v0.1 ``feeding.py`` and ``drinking.py`` (reference tasks.md sections 4 and 5): the person
 sits in the wheelchair with the head turned by up to 30 degrees; the goal is the mouth.
@@ -31,21 +31,21 @@ TOUCHABLE = (
     "head", "neck", "chest", "right_girdle", "left_girdle", "right_upper_arm", "right_forearm",
     "right_hand",
 )  # fmt: skip
-"""Limbs that tool and hand may touch."""
+"""Limbs that the tool and the hand may touch."""
 BELOW = ("waist", "left_upper_arm", "left_forearm", "left_hand", "right_thigh", "left_thigh")
-"""Further limbs that particles may fall on."""
+"""Further limbs on which particles may fall."""
 THINNEST = 0.024
-"""Least half thickness of what particles fall on [m]: the forearm of a slender woman; table and bowl are
+"""Smallest half thickness of anything on which particles fall [m]: the forearm of a slender woman; table and bowl are
 thicker."""
 SEEN = "feeding.py, drinking.py _get_obs"
 
 
 def diner(rate: float, max_torque: float) -> HumanSpec:
-    """The person who is fed. AG feeding.py, drinking.py reset; humans.md sections 5 to 7.
+    """Describe the person who is fed. AG feeding.py, drinking.py reset; humans.md sections 5 to 7.
 
     Args:
-        rate: AG's gain over its solver sub-step [1/s].
-        max_torque: of a person of full strength [N m].
+        rate: AG's gain divided by its solver sub-step [1/s].
+        max_torque: torque limit of a person with full strength [N m].
     """
     return HumanSpec(
         joints=HEAD,
@@ -67,7 +67,7 @@ def diner(rate: float, max_torque: float) -> HumanSpec:
 
 @observation
 class RobotObs:
-    """What the robot sees."""
+    """Observation of the robot."""
 
     tool_pos_torso: Array = column(3, "m", "world axes, from the robot's torso", SEEN)
     tool_quat_w: Array = column(4, "1 (wxyz)", "world", SEEN)
@@ -80,7 +80,7 @@ class RobotObs:
 
 @observation
 class HumanObs:
-    """What the active person sees and feels."""
+    """Observation of the active person."""
 
     tool_pos_human: Array = column(3, "m", "world axes, from the chest", SEEN)
     tool_quat_w: Array = column(4, "1 (wxyz)", "world", SEEN)
@@ -93,7 +93,7 @@ class HumanObs:
 
 
 def observe(sensed: Sensed) -> tuple[RobotObs, HumanObs]:
-    """What robot and person see."""
+    """Return the observations of robot and person."""
     s, tool = sensed, sensed.tool
     head, quat = s.link_pos_w["head"], s.link_quat_w["head"]
     to_mouth = tool.pos_w - s.mouth_pos_w
@@ -120,7 +120,7 @@ def observe(sensed: Sensed) -> tuple[RobotObs, HumanObs]:
 
 
 class Outcome(NamedTuple):
-    """What became of every particle in one control step; the masks exclude each other."""
+    """What became of every particle in one control step; the masks are mutually exclusive."""
 
     eaten: Array  # (n,) bool
     spilled: Array  # (n,) bool
@@ -129,12 +129,12 @@ class Outcome(NamedTuple):
 
 
 def obstacles(sensed: Sensed, vessel: Pose, furniture: Boxes) -> Obstacles:
-    """What particles can touch, at every physics step of the control step.
+    """Return the obstacles of the particles at every physics step of the control step.
 
     Args:
-        sensed: with its motion over n physics steps.
-        vessel: frame of what holds the particles, in the tool's frame.
-        furniture: at rest.
+        sensed: sensed data, with the motion over n physics steps.
+        vessel: frame of the vessel that holds the particles, in the tool's frame.
+        furniture: boxes of furniture, at rest.
     """
     motion = sensed.motion
     pos, quat = child_pose(motion.tool_pos_w, motion.tool_quat_w, vessel.pos, vessel.quat)
@@ -153,12 +153,12 @@ PRIVILEGED_OBS_SIZE = 5
 
 
 def privileged_obs(matter: Particles, eaten: Array, mouth_pos_w: Array) -> Array:
-    """What is left and where: what rewards to come depend on and nobody observes (PRIVILEGED_OBS_SIZE,).
+    """Return what is left and where: future rewards depend on it, but neither agent observes it (PRIVILEGED_OBS_SIZE,).
 
     Args:
         matter: food or water.
-        eaten: how many particles ().
-        mouth_pos_w: now [m] (3,).
+        eaten: number of particles eaten ().
+        mouth_pos_w: current position of the mouth [m] (3,).
     """
     left = jnp.sum(matter.alive, dtype=jnp.float32)
     off = jnp.where(matter.alive[:, None], matter.pos_w - mouth_pos_w, 0.0)
@@ -167,12 +167,12 @@ def privileged_obs(matter: Particles, eaten: Array, mouth_pos_w: Array) -> Array
 
 
 def delivered(matter: Particles, eaten: Array, lost: Array) -> tuple[Array, Array]:
-    """Shares of the particles that have been eaten, and that are gone otherwise, each ().
+    """Return the fractions of the particles that have been eaten and that have otherwise disappeared, each ().
 
     Args:
         matter: food or water.
-        eaten: how many particles ().
-        lost: how many went non-finite, which is neither ().
+        eaten: number of particles eaten ().
+        lost: number of particles that became non-finite, which count as neither ().
     """
     count = len(matter.alive)
     left = jnp.sum(matter.alive, dtype=jnp.float32)
@@ -180,5 +180,5 @@ def delivered(matter: Particles, eaten: Array, lost: Array) -> tuple[Array, Arra
 
 
 def drawn(pos_w: Array, alive: Array) -> Array:
-    """Positions for pictures: NaN where a particle is gone (n, 3)."""
+    """Return positions for rendering: NaN where a particle is gone (n, 3)."""
     return jnp.where(alive[:, None], pos_w, jnp.nan)

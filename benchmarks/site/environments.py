@@ -36,8 +36,8 @@ def index() -> str:
         "# Environments",
         "",
         "Seven tasks, each with four robots, with a person who is passive, and as `...Human-v0` with one who acts too.",
-        "A still picture or film shows a policy that ships with the package. [Make it yours](../make_it_yours.md) says how to "
-        "change weights, people and robots, [creating an environment](../create_an_environment.md) how to add a task.",
+        "A still picture or film shows a policy that ships with the package. [Customizing environments](../make_it_yours.md) explains how to "
+        "change weights, people and robots, and [creating an environment](../create_an_environment.md) how to add a task.",
     ]
     for name, task in TASKS.items():
         lines += ["", f"## {name}", "", _summary(task), "", '<div class="gallery" markdown>']
@@ -73,8 +73,8 @@ def page(name: str) -> str:
     if recipe.active:
         parts += [f"What the person observes, {observe.size(task.human_obs)} columns:"]
         parts += [observe.table(task.human_obs)]
-    parts += ["## Settings", "Weights and thresholds that `config` or `--task.NAME` changes, see "
-              "[make it yours](../make_it_yours.md):", settings_table(settings_of(task))]  # fmt: skip
+    parts += ["## Settings", "Weights and thresholds that `config` or `--task.NAME` changes; see "
+              "[customizing environments](../make_it_yours.md):", settings_table(settings_of(task))]  # fmt: skip
     return "\n\n".join(parts) + "\n"
 
 
@@ -187,8 +187,8 @@ def _measured(name: str) -> Iterator[str]:
     yield "\n".join(["| | |", "|---|---|", *(f"| {a}{_sign(x)} | {b} |" for a, b, x in rows)])
     old = f" {BEFORE}." if any(is_earlier(x) for *_, x in rows) else ""
     yield (
-        f"Over {rows[0][2]['episodes']:,} people each, actions by the mode.{old} [Gentle help](../care.md) says what is gentle, "
-        "[results over seeds](../seeds.md) how seeds are chosen."
+        f"Over {rows[0][2]['episodes']:,} people each, deterministic (mode) actions.{old} [Forces and gentle success](../care.md) defines gentle success, and "
+        "[results over seeds](../seeds.md) explains how seeds are chosen."
     )
 
 

@@ -20,6 +20,10 @@ from agym_jax.sim.physics import check_traceable
 from agym_jax.state import State, begun, moved, raw_key
 
 
+MAX_RESET_INTERVAL = 25
+"""Control steps. Not a multiple of the 20 steps of a rollout, so that rollouts begin at different times of an episode."""
+
+
 class VectorEnv:
     """A batch of copies of one environment; ``reset`` and ``step`` are pure functions.
 
@@ -106,16 +110,20 @@ class VectorEnv:
                 f"shape {np.shape(state.obs)}. Take what its own reset and step return."
             )
 
-    def stagger(self, state: Any, key: Array) -> Any:
-        """Set the environments' clocks to random steps, so that episodes do not all end together.
+    def stagger(self, state: Any, key: Array, interval: int | None = None) -> Any:
+        """Set the environments' clocks to random phases of an episode, so that episodes do not all end together.
 
         Args:
             state: state of the batch.
             key: PRNG key, or n keys (n, 2) for n equal parts of the batch.
+            interval: steps between two phases, a divisor of the episode length; by default ``reset_interval``. Episodes end in
+                one of so many steps only, and the program of a reset, which runs for the whole batch, is skipped in the others.
         """
+        interval = interval or self.reset_interval
+        phases = self.episode_length // interval
 
         def draw(key: Array, count: int) -> Array:
-            return jax.random.randint(key, (count,), 0, self.episode_length, jnp.int32)
+            return interval * jax.random.randint(key, (count,), 0, phases, jnp.int32)
 
         if key.ndim == 1:
             step = draw(key, self.num_envs)
@@ -123,6 +131,12 @@ class VectorEnv:
             each = self.num_envs // len(key)
             step = jax.vmap(lambda one: draw(one, each))(key).reshape(-1)
         return state.replace(episode=dataclasses.replace(state.episode, step=step))
+
+    @property
+    def reset_interval(self) -> int:
+        """Steps between the phases of ``stagger``: the largest divisor of the episode length up to ``MAX_RESET_INTERVAL``."""
+        length = self.episode_length
+        return max(n for n in range(1, min(length, MAX_RESET_INTERVAL) + 1) if length % n == 0)
 
 
 class NativeVectorEnv(VectorEnv):
@@ -146,6 +160,11 @@ class NativeVectorEnv(VectorEnv):
         self.num_threads = min(wanted, count)
         self._slots = [(physics.slot(num_envs), slice(a, b)) for a, b in pairwise(ends)]
         self._pool = ThreadPoolExecutor(self.num_threads, thread_name_prefix="agym_jax")
+
+    @property
+    def reset_interval(self) -> int:
+        """Always 1: an environment that ends is reset alone."""
+        return 1
 
     def reset(self, key: Array) -> Any:
         """Begin an episode in every environment; see ``VectorEnv.reset``."""

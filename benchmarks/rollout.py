@@ -24,7 +24,7 @@ def make_batch(env_name: str, impl: str, num_envs: int) -> Any:
 def first_state(venv: Any, key: jax.Array) -> Any:
     """Environments at random steps of their first episode, so that some reset in every step."""
     key_reset, key_stagger = jax.random.split(key)
-    return strong(venv.stagger(venv.reset(key_reset), key_stagger))
+    return strong(venv.stagger(venv.reset(key_reset), key_stagger, interval=1))
 
 
 def strong(tree: Any) -> Any:

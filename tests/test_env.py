@@ -393,8 +393,18 @@ def test_an_environment_that_breaks_ends_its_episode_and_recovers(
 
 @jit
 def test_stagger_spreads_the_clocks(batch: CompiledBatch, rollout: Rollout):
-    state = batch.env.stagger(rollout.first, jax.random.PRNGKey(0))
-    steps = np.asarray(state.episode.step)
-    assert steps.dtype == np.int32 and (steps >= 0).all() and (steps < 200).all()
-    assert len(set(steps)) >= BATCH - 1
-    assert jax.tree.structure(state) == jax.tree.structure(rollout.first)
+    for interval, distinct in ((None, BATCH // 2), (1, BATCH - 1)):
+        state = batch.env.stagger(rollout.first, jax.random.PRNGKey(0), interval)
+        steps = np.asarray(state.episode.step)
+        assert steps.dtype == np.int32 and (steps >= 0).all() and (steps < 200).all()
+        assert len(set(steps)) >= distinct and (steps % (interval or 25) == 0).all()
+        assert jax.tree.structure(state) == jax.tree.structure(rollout.first)
+
+
+@pytest.mark.parametrize(
+    ("length", "interval"), [(200, 25), (100, 25), (50, 25), (40, 20), (26, 13), (29, 1), (7, 7)]
+)
+def test_resets_of_a_staggered_batch_come_at_regular_steps(static_env, length, interval):
+    env = vectorize(static_env, 2)
+    env.episode_length = length
+    assert env.reset_interval == interval

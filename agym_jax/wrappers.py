@@ -19,7 +19,6 @@ from agym_jax.sim.arguments import check_key
 from agym_jax.sim.physics import check_traceable
 from agym_jax.state import State, begun, moved, raw_key
 
-
 MAX_RESET_INTERVAL = 25
 """Control steps. Not a multiple of the 20 steps of a rollout, so that rollouts begin at different times of an episode."""
 

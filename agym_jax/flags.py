@@ -86,8 +86,7 @@ class PolicyFlags(EnvFlags):
     """Flags that describe the environment and its policies; base class for commands that play or evaluate policies."""
 
     load_dir: str | None = None
-    """--save-dir of the training run whose policy to use; if neither this nor --policy is given, the policy shipped with
-    agym_jax is used."""
+    """--save-dir of the training run whose policy to use; without it and --policy, the policy shipped with agym_jax is used."""
     policy: str | None = None
     """Policy file, "zero" or "random"; the robot's policy if each agent has its own."""
     human_policy: str | None = None

@@ -1,9 +1,8 @@
 """Training, evaluation and replay of policies: ``agym-jax train``, or ``python -m train.ppo`` in a checkout.
 
-``ppo`` trains one agent with PPO, ``coop`` robot and person, ``evaluate`` measures a policy over many
-episodes, ``enjoy`` shows one. The learner is built around the networks, distributions and running
-statistics of Brax; the training loop, checkpoints and policy files are our own. An installed wheel has
-this folder as ``agym_jax.train``.
+``ppo`` trains a single agent with PPO, ``coop`` trains robot and person together, ``evaluate`` evaluates a policy over
+many episodes, and ``enjoy`` displays it. The learner is built on Brax's networks, distributions and running statistics;
+the training loop, checkpoints and policy files are our own. In an installed wheel this folder is ``agym_jax.train``.
 """
 
 from importlib.util import find_spec

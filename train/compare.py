@@ -1,7 +1,7 @@
-"""Is one setting better than another? ``agym-jax compare runs_a/FeedingSawyer-v0 runs_b/FeedingSawyer-v0``.
+"""Test whether one setting is better than another: ``agym-jax compare runs_a/FeedingSawyer-v0 runs_b/FeedingSawyer-v0``.
 
-Measures the policies of all seeds of two runs (``--num-seeds``) over the same episodes, and prints the interquartile
-means, and how likely a seed of the first run is better than one of the second.
+Evaluates the policies of all seeds of two runs (``--num-seeds``) on the same episodes, and prints interquartile means
+and the probability that a seed of the first run is better than one of the second.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ class CompareConfig:
     runs: Annotated[tuple[str, str], tyro.conf.Positional, tyro.conf.arg(metavar="RUN RUN")]
     """Folders of two runs with several seeds, of the same environment."""
     num_episodes: Count = 1000
-    """Episodes of each policy, all side by side."""
+    """Number of episodes per policy, all run in parallel."""
     seed: int = 1001
-    """Seed of the episodes, the same for all."""
+    """Seed of the episodes, the same for all policies."""
     impl: str = "auto"
     """Physics: "jax", "warp", "native" or "auto"."""
     json: str | None = None
-    """File to which the result is added as a JSON line."""
+    """File to which the result is appended as a JSON line."""
 
     def __post_init__(self) -> None:
-        """Refuse what means nothing, before anything is built."""
+        """Reject invalid settings before anything is built."""
         checked_count("--num-episodes", self.num_episodes)
 
 
 def improvement(ours: SeedScores, theirs: SeedScores) -> dict[str, dict[str, Any]]:
-    """How likely a seed of the first setting is better than one of the second, by success and by return."""
+    """Return the probability that a seed of the first setting is better than one of the second, by success and by return."""
     found = {}
     for name in ("successes", "returns"):
         a, b = getattr(ours, name).mean(1), getattr(theirs, name).mean(1)
@@ -64,7 +64,7 @@ def main(
     make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.compare",
 ) -> int:
-    """The command line; returns the exit status."""
+    """Run the command line and return the exit status."""
     config = tyro.cli(CompareConfig, prog=prog, args=arguments, description=__doc__)
     runs = [Path(run).resolve() for run in config.runs]
     if config.json:

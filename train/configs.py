@@ -1,8 +1,7 @@
-"""Settings of PPO: one base, a table of differences per task, and the command line made from both.
+"""Settings of PPO: base settings, a table of changes for each task, and the command line generated from both.
 
-Flags carry the names of Assistive Gym's ``ppo.train``; a flag has one default, the one written
-here. Switches are ``--flag`` / ``--no-flag`` (in Assistive Gym, passing ``--use-linear-lr-decay``
-turned the decay off).
+Flags have the same names as those of Assistive Gym's ``ppo.train``; their defaults are defined here only. Boolean flags
+are ``--flag`` / ``--no-flag`` (in Assistive Gym, passing ``--use-linear-lr-decay`` turned the decay off).
 """
 
 from __future__ import annotations
@@ -32,128 +31,127 @@ MAX_ENV_STEPS = 2**32 - 1  # the learner counts steps in 32 unsigned bits
 
 @dataclass(frozen=True)
 class LearnConfig(EnvFlags):
-    """What every trainer can be told; see ``PPOConfig`` and ``CoopConfig``."""
+    """Settings shared by all trainers; see ``PPOConfig`` and ``CoopConfig``."""
 
     num_env_steps: Count = 10_000_000
-    """Environment steps in all; 1e7 is accepted. Rounded up to whole updates."""
+    """Total number of environment steps, such as 1e7; rounded up to whole updates."""
     save_dir: str | None = "trained_models"
-    """Folder of the results; each environment gets its own folder in it. None writes nothing."""
+    """Folder for the results; each environment gets its own subfolder. None writes nothing."""
     seed: int = 1
     """Seed of the networks, the environments and the exploration."""
     num_seeds: Count = 1
-    """Independent trainings side by side, with the seeds seed, seed + 1, ...; num_envs and num_env_steps are
-    those of each. Their policies and curves are in folders seed_1, seed_2, ... of the run."""
+    """Number of independent trainings run in parallel, with the seeds seed, seed + 1, ...; num_envs and num_env_steps
+    apply to each of them. Policies and learning curves are stored in the run's folders seed_1, seed_2, ..."""
     impl: str = "auto"
-    """Physics: "jax" and "warp" (MJX), "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU where it
-    is installed."""
+    """Physics: "jax" or "warp" (MJX), "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU if
+    installed."""
     devices: Count = 0
-    """Accelerators that share the environments; 0 = all there are."""
+    """Number of accelerators among which the environments are divided; 0 = all available."""
     hosts: str | None = None
-    """Train on several machines, each started with this command: "auto" where JAX finds them itself
-    (SLURM, Open MPI, Cloud TPU), or ADDRESS:PORT,COUNT,INDEX with the address of machine 0, how many
-    they are, and which one this is. They need a common --save-dir."""
+    """Train on several machines, starting this command on each: "auto" where JAX can detect them (SLURM, Open MPI, Cloud
+    TPU), or ADDRESS:PORT,COUNT,INDEX with the address of machine 0, the number of machines, and the index of this one.
+    They need a shared --save-dir."""
 
     num_envs: Annotated[Count, tyro.conf.arg(aliases=["--num-processes"])] = 0
-    """Environments simulated side by side; 0 = 64 on a CPU and 1024 on an accelerator. More of them make
-    more steps a second, but fewer updates of the steps that they make."""
+    """Number of environments simulated in parallel; 0 = 64 on a CPU and 1024 on an accelerator. More environments give more
+    steps per second, but fewer updates for the same number of steps."""
     num_steps: Count = 20
-    """Steps of each environment in one update."""
+    """Steps of each environment per update."""
     ppo_epoch: Count = 4
-    """Passes over the data of an update."""
+    """Passes over the data of each update."""
     num_mini_batch: Count = 8
-    """Gradient steps in a pass; fewer where a step would have less than 80 samples."""
+    """Gradient steps per pass; fewer if a mini-batch would have less than 80 samples."""
     stagger: bool = True
-    """Start the environments at different times of their first episode, so that an update sees all
-    phases of an episode (needs an environment that can; the first episodes are not counted)."""
+    """Start the environments at different times within their first episode, so that every update contains all phases of an
+    episode (requires support by the environment; the first episodes are not counted)."""
 
     lr: float = 3e-4
     """Learning rate of Adam."""
     eps: float = 1e-5
     """Epsilon of Adam."""
     use_linear_lr_decay: bool = True
-    """Let the learning rate fall linearly to zero over the run."""
+    """Decay the learning rate linearly to zero over the run."""
     max_grad_norm: float = 0.5
-    """Gradients are scaled down to this norm."""
+    """Maximum gradient norm; larger gradients are scaled down to it."""
     gamma: float = 0.99
-    """Discount per step."""
+    """Discount factor per step."""
     gae_lambda: Annotated[float, tyro.conf.arg(aliases=["--tau"])] = 0.95
     """Lambda of generalised advantage estimation."""
     clip_param: float = 0.2
-    """Clipping range of the probability ratio, and of the value with clip_value_loss."""
+    """Clipping range of the probability ratio, and of the value if clip_value_loss is set."""
     clip_value_loss: bool = False
-    """Clip the change of the value prediction too, as Assistive Gym's trainer does."""
+    """Also clip the change of the value prediction, as Assistive Gym's trainer does."""
     recompute_advantages: bool | None = None
-    """Estimate advantages and value targets anew before every pass over the data of an update. None: where an update
-    has at least 10,000 samples; a value function that knows fewer by heart would learn its own errors."""
+    """Recompute advantages and value targets before every pass over the data of an update. None: only if an update has at
+    least 10,000 samples; with fewer, the value function memorises them and would learn from its own errors."""
     gradient_precision: Literal["float32", "tensorfloat32"] = "float32"
     """Of matrix products in gradients: NVIDIA's TensorFloat-32 is faster and rounds their factors to 10 bits. Environments,
     actions, values and advantages always take float32, as does everything on a CPU."""
     value_loss_coef: float = 0.5
-    """Weight of the value loss (which itself carries another 0.5)."""
+    """Weight of the value loss (which itself contains another factor of 0.5)."""
     entropy_coef: float = 0.0
     """Weight of the entropy bonus."""
     entropy_decay_share: float = 0.0
-    """Share of the run in which the entropy bonus falls linearly to zero: first look around, then
-    settle; 0 = it stays."""
+    """Fraction of the run over which the entropy bonus decays linearly to zero: explore first, settle later; 0 = no decay."""
     privileged_critic: bool = True
-    """Let the value functions, in training only, see what rewards to come depend on and nobody
-    observes, such as how much water is left in the cup. The policies never see it."""
+    """Give the value functions, during training only, quantities that neither agent observes but on which future rewards
+    depend, such as how much water is left in the cup. The policies never receive them."""
     normalize_observations: bool = True
-    """Normalise observations by their running mean and deviation, clipped to 10 deviations."""
+    """Normalise observations by their running mean and standard deviation, clipped to 10 standard deviations."""
     normalize_reward: bool = True
-    """Divide rewards by the running deviation of the discounted return, clipped to 10."""
+    """Divide rewards by the running standard deviation of the discounted return, clipped to 10."""
     reward_scaling: float = 1.0
-    """Constant factor on the reward, before normalize_reward."""
+    """Constant factor on the reward, applied before normalize_reward."""
 
     cost_limit: float | None = None
-    """Learn to be gentle: the mean cost of an episode must not exceed this. A step in which robot or tool press on a
-    region of the person's body harder than is comfortable costs 1, and up to 1 more for how far; 0.05 asks for at least
-    95 % gentle episodes. None: forces cost only what the task's reward says."""
+    """Train for gentleness: upper limit on the mean cost of an episode. Each step in which the robot or its tool presses on
+    a region of the person's body harder than its comfort limit costs 1, plus up to 1 depending on the excess; 0.05 demands
+    at least 95 % gentle episodes. None: forces are penalised only by the task's reward."""
     cost_proportional: float = 1.0
-    """With cost_limit: proportional gain of the multiplier's controller."""
+    """With cost_limit: proportional gain of the controller of the cost multiplier."""
     cost_integral: float = 0.05
-    """With cost_limit: integral gain, per update; the multiplier grows by so much where the cost is far too high."""
+    """With cost_limit: integral gain per update; the multiplier grows by this much per update if the cost is far too high."""
     cost_derivative: float = 0.5
-    """With cost_limit: derivative gain, per update, while the cost rises."""
+    """With cost_limit: derivative gain per update, applied while the cost is rising."""
     cost_multiplier_max: float = 2.0
-    """With cost_limit: largest multiplier. At 1, cost and reward weigh alike; much more, and the task may be given up."""
+    """With cost_limit: largest multiplier. At 1, cost and reward have equal weight; far above, the task may be given up."""
     cost_tighten_from: float = 0.35
-    """With cost_limit: share of the run after which the limit falls, from any cost, so that the task is learned first."""
+    """With cost_limit: fraction of the run after which the limit, initially unbounded, tightens; the task is learned first."""
     cost_tighten_until: float = 0.7
-    """With cost_limit: share of the run after which the limit is cost_limit."""
+    """With cost_limit: fraction of the run after which the limit equals cost_limit."""
 
     policy_hidden: tuple[int, ...] = (64, 64)
-    """Hidden layers of the policy."""
+    """Sizes of the policy's hidden layers."""
     value_hidden: tuple[int, ...] = (128, 128)
-    """Hidden layers of the value function."""
+    """Sizes of the value function's hidden layers."""
     activation: Literal["tanh", "swish", "elu", "relu"] = "tanh"
-    """Activation of both networks."""
+    """Activation function of both networks."""
     distribution: Literal["normal", "tanh_normal"] = "tanh_normal"
-    """Exploration: a tanh-squashed Gaussian whose deviation depends on the observation, or one
-    clipped to [-1, 1] with a deviation of its own ("normal", as in Assistive Gym)."""
+    """Action distribution: a tanh-squashed Gaussian whose standard deviation depends on the observation, or a Gaussian
+    clipped to [-1, 1] whose standard deviation is a separate parameter ("normal", as in Assistive Gym)."""
     init_noise_std: float = 1.0
-    """Initial deviation of "normal"."""
+    """Initial standard deviation of "normal"."""
     noise_floor: float = 0.0
-    """Least deviation of "normal" in the first half of the run, then falling to zero: noise must last until a success
-    that is rare is found."""
+    """Smallest standard deviation of "normal" in the first half of the run, decaying to zero afterwards: exploration has to
+    continue until rare successes are found."""
     policy_head_gain: float = 0.01
     """Gain of the initial weights of the policy's last layer (Assistive Gym: 1)."""
 
     log_interval: Count = 0
-    """Updates between two log lines; 0 = about 80 lines in a run."""
+    """Updates between log lines; 0 = about 80 lines per run."""
     save_interval: Count = 0
-    """Updates between two checkpoints, rounded up to a log line; 0 = about 10 in a run, and at
-    least one a minute. A killed run loses at most what follows its last checkpoint."""
+    """Updates between checkpoints, rounded up to a log line; 0 = about 10 per run, and at least one per minute. A run that
+    is killed loses only the progress since its last checkpoint."""
     logger: tuple[Literal["tensorboard", "wandb", "trackio"], ...] = ()
-    """Where hyper-parameters and curves go besides the run's folder, one or several: each is an extra of its name."""
+    """Further destinations for hyperparameters and learning curves; each requires the extra of the same name."""
     fresh: bool = False
-    """Start over: the results of an earlier run are moved aside instead of being continued."""
+    """Start over, moving the results of an earlier run aside instead of continuing it."""
 
     def __post_init__(self) -> None:
         """Reject values that can never work.
 
         Raises:
-            ConfigError: names the field, its value and what is allowed.
+            ConfigError: if a value is invalid; the message names the field, its value and what is allowed.
         """
         for name in ("num_env_steps", "num_steps", "ppo_epoch", "num_mini_batch", "num_seeds"):
             if getattr(self, name) < 1:
@@ -189,35 +187,34 @@ class LearnConfig(EnvFlags):
 
 @dataclass(frozen=True)
 class PPOConfig(LearnConfig):
-    """Every setting of ``train.ppo``."""
+    """Settings of ``train.ppo``."""
 
     allow_joint_observation: bool = False
-    """Train one policy for robot and person together, which lets the robot read the person's
-    observation."""
+    """Train a single policy for robot and person, which gives the robot access to the person's observation."""
 
 
 @dataclass(frozen=True)
 class CoopConfig(LearnConfig):
-    """Every setting of ``train.coop``."""
+    """Settings of ``train.coop``."""
 
     env_name: str = "ScratchItchJacoHuman-v0"
-    """Environment id, one whose person acts too."""
+    """Environment id with an active person."""
     central_critic: bool = False
-    """Let the value functions see both observations (the policies never do)."""
+    """Give the value functions both observations (the policies never receive both)."""
     robot_policy: str | None = None
-    """A policy file that the robot starts from."""
+    """Policy file from which the robot's training starts."""
     freeze_robot: bool = False
-    """Leave --robot-policy as it is, and let it act by the mode of its distribution."""
+    """Do not train --robot-policy; it acts by the mode of its distribution."""
     human_policy: str | None = None
-    """A policy file that the person starts from."""
+    """Policy file from which the person's training starts."""
     freeze_human: bool = False
-    """Leave --human-policy as it is, and let it act by the mode of its distribution."""
+    """Do not train --human-policy; it acts by the mode of its distribution."""
 
     def __post_init__(self) -> None:
         """Reject values that can never work.
 
         Raises:
-            ConfigError: as ``LearnConfig``; or there is nothing to freeze, or nothing to learn.
+            ConfigError: as for ``LearnConfig``; or if there is no policy to freeze, or no policy left to train.
         """
         super().__post_init__()
         for agent in ("robot", "human"):
@@ -235,20 +232,19 @@ class CoopConfig(LearnConfig):
 Config = TypeVar("Config", PPOConfig, CoopConfig)
 
 NUM_ENVS = {"cpu": 64, "gpu": 1024, "tpu": 1024}
-"""Environments by kind of device."""
+"""Default number of environments by kind of device."""
 LEAST_RECOMPUTED = 10_000
-"""Samples of an update from which on its advantages are estimated anew before every pass."""
+"""Samples per update from which advantages are recomputed before every pass."""
 LEAST_SAMPLES = 80
-"""Of a mini-batch, when ``num_mini_batch`` would make smaller ones of a small batch."""
+"""Smallest mini-batch, if ``num_mini_batch`` would divide a small batch into smaller ones."""
 
 
 def config_for(env_name: str, kind: type[Config] = PPOConfig, platform: str = "gpu") -> Config:
-    """The settings of an environment: the base with its task's changes, and with those of a CPU.
+    """Return the default settings of an environment: the base with the changes of its task and, on a CPU, of CPUs.
 
     Args:
-        env_name: environment id, such as ``"ScratchItchJaco-v0"``; an id of no known task gets
-            the base.
-        kind: whose settings.
+        env_name: environment id, such as ``"ScratchItchJaco-v0"``; an id of an unknown task gets the base settings.
+        kind: class of the settings.
         platform: JAX's name of the device kind: "cpu", "gpu", "tpu".
     """
     changes = _of(TASK_CHANGES, env_name, {})
@@ -257,7 +253,7 @@ def config_for(env_name: str, kind: type[Config] = PPOConfig, platform: str = "g
 
 
 def _of(table: dict[str, Any], env_name: str, otherwise: Any) -> Any:
-    """The entry of the longest key that an environment id begins with."""
+    """Return the entry with the longest key that is a prefix of the environment id."""
     plain = env_name.rpartition(":")[2]  # without the module of a plug-in
     keys = [key for key in table if plain.startswith(key)]
     return table[max(keys, key=len)] if keys else otherwise
@@ -269,34 +265,34 @@ def parse_arguments(
     prog: str | None = None,
     platform: str = "gpu",
 ) -> Config:
-    """Settings from command-line words, with the defaults of the environment they name on a kind of device."""
+    """Parse settings from command-line arguments; defaults depend on the environment they name and on the device kind."""
     does = {
-        PPOConfig: "Train a robot's policy with PPO.",
-        CoopConfig: "Train robot and person side by side: two policies, one reward.",
+        PPOConfig: "Train a robot policy with PPO.",
+        CoopConfig: "Train a robot policy and a person policy together, with a common reward.",
     }[kind]
     return tyro.cli(
         kind,
         prog=prog,
-        description=f"{does} Rerunning the same command continues it.",
+        description=f"{does} Rerunning the same command resumes an interrupted run.",
         args=list(arguments),
         default=config_for(env_name_in(arguments, kind.env_name), kind, platform),
     )
 
 
 def resolve(config: Config, platform: str, devices: int = 1) -> Config:
-    """Fill in what depends on the machine.
+    """Fill in the settings that depend on the machine.
 
     Args:
         config: settings, with 0 meaning automatic.
         platform: JAX's name of the device kind: "cpu", "gpu", "tpu".
-        devices: how many share the environments.
+        devices: number of devices among which the environments are divided.
 
     Returns:
         Settings without a 0 in ``devices``, ``num_envs`` and ``log_interval``;
-        ``save_interval`` is a whole number of log intervals.
+        ``save_interval`` is a multiple of the log interval.
 
     Raises:
-        ConfigError: the environments do not divide among the devices, or the data of an update not into
+        ConfigError: if the environments cannot be divided evenly among the devices, or the data of an update into
             mini-batches.
     """
     num_envs = config.num_envs or NUM_ENVS.get(platform, NUM_ENVS["gpu"])
@@ -334,5 +330,5 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
 
 
 def updates_in(num_env_steps: int, batch: int) -> int:
-    """Updates of ``batch`` steps that make at least ``num_env_steps``."""
+    """Return the number of updates of ``batch`` steps needed for at least ``num_env_steps``."""
     return math.ceil(num_env_steps / batch)

@@ -1,6 +1,6 @@
-"""Train robot and person to help each other: ``agym-jax coop --env-name ScratchItchJacoHuman-v0``.
+"""Train robot and person to cooperate: ``agym-jax coop --env-name ScratchItchJacoHuman-v0``.
 
-Co-optimisation as in Assistive Gym: two policies, two observations, one reward, one compiled update.
+Co-optimisation as in Assistive Gym: two policies with separate observations and a common reward, in one compiled update.
 Rerunning the same command resumes an interrupted run; ``train`` does the same from Python.
 """
 
@@ -29,17 +29,17 @@ def train(
     Args:
         env: an environment (``agym_jax.make``) in which robot and person act, or a ``StepwiseEnv``.
         config: settings; ``save_dir=None`` writes no files.
-        progress: is told what happens; None shows nothing.
-        on_log: called as ``on_log(row, policies)`` at each log line, where ``policies()`` makes the
-            present policies by agent; a true result stops the run (its state is saved).
+        progress: receives progress reports; None shows nothing.
+        on_log: called as ``on_log(row, policies)`` at each log line, where ``policies()`` returns the current policies
+            by agent; a true result stops the run (its state is saved).
 
     Returns:
         Policies by agent, learning curve and times.
 
     Raises:
-        ActiveHumanError: only the robot acts.
-        PolicyNotFoundError, PolicyEnvironmentError, PolicyLayoutError: of a policy to start from.
-        ConfigError, SaveFolderError, CheckpointMismatchError, BufferOverflowError, DivergedError: as
+        ActiveHumanError: if only the robot acts.
+        PolicyNotFoundError, PolicyEnvironmentError, PolicyLayoutError: if a policy to start from does not exist or fit.
+        ConfigError, SaveFolderError, CheckpointMismatchError, BufferOverflowError, DivergedError: as for
             ``train.ppo.train``.
     """
     refuse_static_human(env)
@@ -52,7 +52,7 @@ def main(
     make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.coop",
 ) -> int:
-    """The command line; returns the exit status."""
+    """Run the command line and return the exit status."""
     return command_line(CoopConfig, train, arguments, make, prog)
 
 

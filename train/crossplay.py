@@ -1,7 +1,7 @@
-"""Who gets along with whom: ``agym-jax crossplay --env-name ScratchItchJacoHuman-v0 --runs a b c``.
+"""Evaluate robot and person policies in all pairings: ``agym-jax crossplay --env-name ScratchItchJacoHuman-v0 --runs a b c``.
 
-Every robot's policy helps every person's, over the same episodes; with a person who holds still in
-the last column. Pairs of one architecture share a compilation.
+Every robot policy is paired with every person policy, on the same episodes; in the last column, the person holds still.
+Pairs with the same architecture share a compiled program.
 """
 
 from __future__ import annotations
@@ -40,35 +40,35 @@ class CrossplayConfig:
     """Flags of ``agym-jax crossplay``."""
 
     env_name: str = "ScratchItchJacoHuman-v0"
-    """Environment id, one whose person acts too."""
+    """Environment id with an active person."""
     runs: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR ...")] = ()
-    """--save-dir of runs of train.coop: the robot and the person of each take part."""
+    """--save-dir of train.coop runs; the robot policy and the person policy of each run take part."""
     robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE ...")] = ()
-    """Further policies of the robot, of this id or the one with a still person; "zero", "random"."""
+    """Further robot policies, for this id or the one with a passive person; "zero", "random"."""
     humans: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE ...")] = ()
-    """Further policies of the person; "zero", "random"."""
+    """Further person policies; "zero", "random"."""
     still_human: bool = True
-    """Also let every robot help a person who holds still."""
+    """Also evaluate every robot policy with a person who holds still."""
     num_episodes: Count = 100
-    """Episodes of each pair, all side by side."""
+    """Number of episodes per pair, all run in parallel."""
     seed: int = 1001
     """Seed of the episodes, the same for all pairs."""
     impl: str = "auto"
     """Physics: "jax", "warp", "native" or "auto"."""
     json: str | None = None
-    """File to which the result of each pair is added as a JSON line."""
+    """File to which the result of each pair is appended as a JSON line."""
 
     def __post_init__(self) -> None:
-        """Refuse what means nothing, before anything is built."""
+        """Reject invalid settings before anything is built."""
         checked_count("--num-episodes", self.num_episodes)
 
 
 def find_files(config: CrossplayConfig) -> tuple[list[str], list[str]]:
-    """Files (or baselines) of the robots and of the people.
+    """Return the files (or baselines) of the robots and of the people.
 
     Raises:
-        ConfigError: there is no robot, or nobody to help.
-        PolicyNotFoundError: a file is not there.
+        ConfigError: if there is no robot policy, or no person.
+        PolicyNotFoundError: if a file does not exist.
     """
     plain = config.env_name.rpartition(":")[2]
     robots, humans = (
@@ -94,18 +94,18 @@ def crossplay(
     seed: int,
     still_env: Any = None,
 ) -> Iterator[tuple[tuple[str, str], EvaluationResult]]:
-    """Let every robot help every person.
+    """Evaluate every robot policy with every person policy.
 
     Args:
-        env: where both act.
+        env: environment in which both act.
         robots: name -> policy.
         humans: name -> policy.
-        num_episodes: of each pair.
-        seed: of the episodes.
-        still_env: the same with a person who holds still; None leaves that column out.
+        num_episodes: number of episodes per pair.
+        seed: seed of the episodes.
+        still_env: the same environment with a person who holds still; None omits that column.
 
     Yields:
-        (robot, person) and what came of it, as it is found.
+        (robot, person) and the result of the pair, as soon as it is available.
     """
     key, columns = jax.random.PRNGKey(seed), parts(env)["robot"].observed.stop
     evaluator = Evaluator(env, num_episodes) if humans else None
@@ -120,7 +120,7 @@ def crossplay(
 
 
 def table(matrix: Matrix) -> str:
-    """Success, gentle success and mean return of all pairs; rows are robots, columns people."""
+    """Format success, gentle success and mean return of all pairs; rows are robots, columns people."""
     robots, humans = (list(dict.fromkeys(key[i] for key in matrix)) for i in (0, 1))
     lines = [f"  R{i:<3}{name}" for i, name in enumerate(robots, 1)]
     lines += [f"  P{i:<3}{name}" for i, name in enumerate(humans, 1)]
@@ -138,10 +138,10 @@ def table(matrix: Matrix) -> str:
 
 
 def run(config: CrossplayConfig, make: Callable[..., Any] = make_env) -> Matrix:
-    """Measure what the flags ask for, in the environment with the settings of the first robot's training; prints the table.
+    """Evaluate the requested pairs, with the environment settings of the first robot's training, and print the table.
 
     Raises:
-        PolicyEnvironmentError, PolicyLayoutError: a policy does not fit; says what would.
+        PolicyEnvironmentError, PolicyLayoutError: if a policy does not fit; the message says what would.
     """
     if config.json:
         check_writable(Path(config.json).parent, "Choose another file with --json.")
@@ -183,7 +183,7 @@ def main(
     make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.crossplay",
 ) -> int:
-    """The command line; returns the exit status."""
+    """Run the command line and return the exit status."""
     config = tyro.cli(CrossplayConfig, prog=prog, args=arguments)
     run(config, make)
     return 0

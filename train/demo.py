@@ -1,9 +1,9 @@
-"""See it work, on any CPU, in a few minutes: ``agym-jax demo``.
+"""Run a demonstration on any CPU in a few minutes: ``agym-jax demo``.
 
-1. The policy that ships with agym_jax helps a batch of people, all at once; table, film, pictures.
-2. A policy is trained from scratch for two to four minutes, its learning curve is drawn, and it helps people too.
+1. The policy that ships with agym_jax helps a batch of people in parallel; the results are a table, a video and pictures.
+2. A policy is trained from scratch for two to four minutes, its learning curve is plotted, and it is evaluated as well.
 
-Both run on C MuJoCo, which starts within seconds.
+Both parts run on C MuJoCo, which starts within seconds.
 """
 
 from __future__ import annotations
@@ -51,42 +51,42 @@ class DemoConfig:
     env_name: str = "ScratchItchJaco-v0"
     """Environment id."""
     policy: str | None = None
-    """A policy file; without it, the policy shipped with agym_jax."""
+    """Policy file; by default, the policy shipped with agym_jax."""
     out: Path = Path("demo")
-    """Folder for film, pictures and learning curve."""
+    """Folder for the video, the pictures and the learning curve."""
     humans: Count = 64
-    """How many people are helped side by side."""
+    """Number of people helped in parallel."""
     num_env_steps: Count = 1_000_000
-    """Steps to train for."""
+    """Number of environment steps to train for."""
     seconds: float = 230.0
-    """How long to train, at most [s]."""
+    """Maximum training time [s]."""
     budget: float = 280.0
-    """What all of this should take [s]: where the rest was slow, training is shorter."""
+    """Target duration of the whole demonstration [s]; training is shortened if the other parts are slow."""
     film_seconds: float = 25.0
-    """How long drawing the film may take [s]; decides how many frames it has."""
+    """Maximum time for rendering the video [s]; determines its number of frames."""
     seed: int = 1
-    """Seed of people and training."""
+    """Seed of the people and the training."""
 
     def __post_init__(self) -> None:
-        """Refuse what means nothing, before anything is built."""
+        """Reject invalid settings before anything is built."""
         for name in ("humans", "num_env_steps"):
             checked_count(f"--{name.replace('_', '-')}", getattr(self, name))
 
 
 class Recorder:
-    """Keeps what pictures need of every environment at every step."""
+    """Records what is needed to render every environment at every step."""
 
     def __init__(self) -> None:
         self._states: list[Any] = []
 
     def __call__(self, state: Any) -> None:
-        """Remember the state of all environments."""
+        """Record the state of all environments."""
         data = {name: getattr(state.data, name) for name in ("qpos", "qvel")}
         kept = {name: getattr(state, name) for name in ("task", "episode", "reward", "metrics")}
         self._states.append(jax.device_get({"data": data, **kept}))
 
     def frames(self, world: int) -> Iterator[Frame]:
-        """One environment's first episode, but for its last step, after which the next one has begun."""
+        """Yield the first episode of one environment without its last step, after which the next episode has begun."""
         total = 0.0
         for step, states in enumerate(self._states[:-1]):
             one = jax.tree.map(lambda leaf: leaf[world], states)
@@ -98,16 +98,16 @@ class Recorder:
 
 
 def make_film(env: Any, frames: Sequence[Frame], out: Path, seconds: float) -> tuple[Path, Path]:
-    """Draw one episode, with as many frames as the time allows.
+    """Render one episode, with as many frames as the time allows.
 
     Args:
-        env: of the episode.
-        frames: all of it.
-        out: folder.
-        seconds: time for drawing.
+        env: environment of the episode.
+        frames: all frames of the episode.
+        out: output folder.
+        seconds: time for rendering.
 
     Returns:
-        Film and sheet of pictures.
+        Paths of the video and the contact sheet.
     """
     from agym_jax.rendering.clips import contact_sheet, write_clip
     from agym_jax.rendering.render import Renderer
@@ -132,21 +132,21 @@ def make_film(env: Any, frames: Sequence[Frame], out: Path, seconds: float) -> t
 
 
 def typical(result: EvaluationResult) -> int:
-    """The world with the median return."""
+    """Return the environment with the median return."""
     return int(np.argsort(result.returns)[len(result.returns) // 2])
 
 
 def until(deadline: float) -> OnLog:
-    """Stops training at a time of ``time.perf_counter``."""
+    """Return a callback that stops training at a given time of ``time.perf_counter``."""
     return lambda row, policy: time.perf_counter() > deadline
 
 
 def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
-    """Both parts of the demo.
+    """Run both parts of the demonstration.
 
     Raises:
-        PolicyNotFoundError: no policy is shipped for this environment.
-        SaveFolderError: the folder cannot be written to.
+        PolicyNotFoundError: if no policy is shipped for this environment.
+        SaveFolderError: if the folder cannot be written to.
     """
     began = time.perf_counter()
 
@@ -202,7 +202,7 @@ def main(
     make: Callable[[str, str], Any] = make_env,
     prog: str = f"python -m {__package__}.demo",
 ) -> int:
-    """The command line; returns the exit status."""
+    """Run the command line and return the exit status."""
     config = tyro.cli(DemoConfig, prog=prog, args=arguments)
     jax.config.update("jax_platforms", "cpu")
     run(config, make)

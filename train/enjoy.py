@@ -1,7 +1,8 @@
 """Watch a policy: ``agym-jax enjoy --env-name ScratchItchJaco-v0 --clip scratch.gif``.
 
-One environment on the CPU, with C MuJoCo's physics; the seed decides the episodes. Writes a film, a sheet of pictures, or opens
-MuJoCo's viewer, and prints each episode's return, force and success. ``--ending failure`` looks for episodes that fail.
+Runs a single environment on the CPU with C MuJoCo; the seed determines the episodes. Writes a video or a contact sheet, or
+opens MuJoCo's viewer, and prints each episode's return, force and success. ``--ending failure`` searches for episodes that
+fail.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ from .learning.rollout import COMFORT_KEY, FORCE_KEY
 
 SHEET_PICTURES = 20
 LOOK_THROUGH = 300
-"""Episodes among which one with a wanted ending is looked for."""
+"""Number of episodes to search for those with a requested ending."""
 Ending = Literal["any", "success", "failure", "rough"]
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
-"""Environment variables of which one names the screen, on Linux."""
+"""Environment variables one of which is set on Linux if there is a display."""
 
 
 @dataclass(frozen=True)
@@ -46,38 +47,38 @@ class EnjoyConfig(PolicyFlags):
     """Flags of ``agym-jax enjoy``."""
 
     episodes: Count = 1
-    """How many episodes, one after the other."""
+    """Number of episodes, played one after the other."""
     seed: int = 1001
-    """Seed of the first episode; the next ones have the seeds after it."""
+    """Seed of the first episode; later episodes use the seeds that follow."""
     ending: Ending = "any"
-    """Show only episodes that end in success or failure, or are rough: somewhere pressed harder than is comfortable."""
+    """Show only episodes that end in success or in failure, or rough ones, in which a force exceeded a comfort limit."""
     impl: str = "native"
     """Physics: "native" (C MuJoCo, quick to start) or "jax" (MJX, as in training)."""
     clip: Path | None = None
-    """Film to write, .gif or .mp4."""
+    """Video file to write, .gif or .mp4."""
     sheet: Path | None = None
-    """Sheet of pictures to write, .png."""
+    """Contact sheet to write, .png."""
     viewer: bool = False
-    """Open MuJoCo's viewer (needs a screen)."""
+    """Open MuJoCo's viewer (requires a display)."""
     camera: str = "front"
-    """Camera of the film and the sheet."""
+    """Camera of the video and the contact sheet."""
     width: Count = 480
-    """Width of a picture in pixels."""
+    """Image width in pixels."""
     height: Count = 360
-    """Height of a picture in pixels."""
+    """Image height in pixels."""
     backend: str = "auto"
-    """How pictures are drawn: "gl", "raycast" or "auto"."""
+    """Rendering backend: "gl", "raycast" or "auto"."""
     visuals: str = "primitives"
-    """What the robot looks like: "primitives", or "meshes" of other packages (agym_jax[meshes])."""
+    """Appearance of the robot: "primitives", or "meshes" from other packages (agym_jax[meshes])."""
 
     def __post_init__(self) -> None:
-        """Refuse what means nothing or cannot be shown, before anything is built.
+        """Reject settings that are invalid or cannot be shown, before anything is built.
 
         Raises:
-            ArgumentError: no episode, or a picture without pixels.
-            RenderBackendError: there is no such way to draw.
-            UnknownCameraError: there is no such camera.
-            ConfigError: there is no screen for the viewer.
+            ArgumentError: if there are no episodes, or the image size is not positive.
+            RenderBackendError: if there is no such rendering backend.
+            UnknownCameraError: if there is no such camera.
+            ConfigError: if there is no display for the viewer.
         """
         for name in ("episodes", "width", "height"):
             checked_count(f"--{name}", getattr(self, name))
@@ -95,13 +96,13 @@ class Frame:
     """One moment of an episode.
 
     Attributes:
-        state: of the environment.
-        step: control steps done.
+        state: state of the environment.
+        step: control steps taken.
         total: return so far.
         force: force on the person in this step [N].
         success: whether the task is done.
         over: whether the episode ends here.
-        of_comfort: share of a comfort limit that was reached in this step; above 1, it was exceeded.
+        of_comfort: largest force in this step as a fraction of a comfort limit; above 1, a limit was exceeded.
     """
 
     state: Any
@@ -114,7 +115,7 @@ class Frame:
 
 
 class Player:
-    """Plays episodes of one environment; compiles once."""
+    """Plays episodes of one environment; compiles only once."""
 
     def __init__(self, env: Any, policy: AnyPolicy, deterministic: bool = True) -> None:
         self.env = env
@@ -122,7 +123,7 @@ class Player:
         self._act = jax.jit(lambda obs, key: policy(obs, key, deterministic))
 
     def episode(self, seed: int) -> Iterator[Frame]:
-        """The frames of the episode that belongs to a seed, the start included."""
+        """Yield the frames of the episode with a given seed, including the start."""
         key_reset, key = jax.random.split(jax.random.PRNGKey(seed))
         state = self._reset(key_reset)
         total = 0.0
@@ -140,11 +141,11 @@ class Player:
                 return
 
     def episodes(self, seed: int, ending: Ending = "any") -> Iterator[tuple[int, Iterator[Frame]]]:
-        """Seeds of episodes with an ending, and their frames; of an ending, those among ``LOOK_THROUGH`` seeds.
+        """Yield the seeds and frames of episodes with a given ending, searching ``LOOK_THROUGH`` seeds unless it is "any".
 
         Args:
-            seed: the first that is looked at.
-            ending: of the episodes.
+            seed: first seed to try.
+            ending: requested ending of the episodes.
         """
         if ending == "any":
             for number in itertools.count(seed):
@@ -160,20 +161,20 @@ class Player:
 
 
 def ends_so(frames: Sequence[Frame], ending: Ending) -> bool:
-    """Whether an episode has an ending, other than any."""
+    """Return whether an episode has a given ending, which must not be "any"."""
     if ending == "rough":
         return any(frame.of_comfort > 1 for frame in frames)
     return frames[-1].success == (ending == "success")
 
 
 def caption(frame: Frame) -> str:
-    """What is printed with a picture."""
+    """Return the caption of a frame."""
     success = "  success" if frame.success else ""
     return f"step {frame.step}  return {frame.total:.1f}  force {frame.force:.1f} N{success}"
 
 
 def film(env: Any, frames: Sequence[Frame], config: EnjoyConfig) -> list[Any]:
-    """Pictures of the frames of one episode, uint8 (height, width, 3) each."""
+    """Render the frames of one episode, uint8 (height, width, 3) each."""
     from agym_jax.rendering.render import Renderer
 
     model, data = env.to_mujoco(frames[0].state, config.visuals)
@@ -186,10 +187,10 @@ def film(env: Any, frames: Sequence[Frame], config: EnjoyConfig) -> list[Any]:
 
 
 def watch(env: Any, frames: Iterator[Frame], visuals: str) -> list[Frame]:
-    """Show an episode in MuJoCo's viewer in real time; returns its frames.
+    """Show an episode in MuJoCo's viewer in real time and return its frames.
 
     Raises:
-        ConfigError: the viewer does not open, as on a machine without a screen.
+        ConfigError: if the viewer cannot be opened, for example on a machine without a display.
     """
     try:
         import mujoco.viewer
@@ -217,7 +218,7 @@ def watch(env: Any, frames: Iterator[Frame], visuals: str) -> list[Frame]:
 
 
 def _check_outputs(config: EnjoyConfig) -> None:
-    """Refuse a wrong file name before a minute of compiling."""
+    """Reject invalid file names before spending a minute on compilation."""
     for path, endings in ((config.clip, (".gif", ".mp4")), (config.sheet, (".png",))):
         if path is None:
             continue
@@ -229,10 +230,10 @@ def _check_outputs(config: EnjoyConfig) -> None:
 
 
 def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
-    """Play, print and record what the flags ask for; returns the last frame of each episode.
+    """Play, print and record the requested episodes and return the last frame of each.
 
     Raises:
-        ConfigError: no episode ends as it is asked for.
+        ConfigError: if no episode has the requested ending.
     """
     player = Player(env, policy, deterministic=not config.non_det)
     pictures, labels, lasts = [], [], []
@@ -278,7 +279,7 @@ def main(
     make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.enjoy",
 ) -> int:
-    """The command line; returns the exit status."""
+    """Run the command line and return the exit status."""
     config = parse_flags(EnjoyConfig, arguments, prog)
     jax.config.update(
         "jax_platforms", "cpu"

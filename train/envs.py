@@ -1,4 +1,4 @@
-"""The few things that training asks of an environment: environments, and who sees and moves what."""
+"""The interface between training and environments: making and batching environments, and checks of their agents."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .errors import ActiveHumanError
 
 
 def make_env(env_name: str, impl: str = "auto", **options: Any) -> Any:
-    """An environment by its id; on a CPU, ``"auto"`` is C MuJoCo, as nothing here traces through the physics.
+    """Make an environment by its id; on a CPU, ``"auto"`` means C MuJoCo, as nothing here traces through the physics.
 
     Args:
         env_name: environment id.
@@ -27,19 +27,19 @@ def make_env(env_name: str, impl: str = "auto", **options: Any) -> Any:
 
 
 def changed(env: Any) -> dict[str, Any]:
-    """What of an environment is other than its id says, for a result line; nothing where all is as it says."""
+    """Return the settings that differ from the id's defaults, for a result line; empty if there are none."""
     return {"changes": env.changes} if getattr(env, "changes", None) else {}
 
 
 def is_native(env: Any) -> bool:
-    """Whether an environment, or a batch of them, is C MuJoCo's, whose functions are called from Python."""
+    """Return whether an environment, or a batch, runs on C MuJoCo, whose functions are called from Python."""
     return getattr(env, "impl", None) == "native"
 
 
 def vectorize(env: Any, num_envs: int) -> Any:
-    """``num_envs`` auto-resetting environments of an environment.
+    """Make a batch of ``num_envs`` copies of an environment, with auto-reset.
 
-    An environment that has a ``vectorize(num_envs)`` of its own is asked itself.
+    If the environment has its own ``vectorize(num_envs)``, that method is used.
     """
     if hasattr(env, "vectorize"):
         return env.vectorize(num_envs)
@@ -49,17 +49,17 @@ def vectorize(env: Any, num_envs: int) -> Any:
 
 
 def jit_functions(env: Any) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """``reset`` and ``step`` of one environment, compiled; an environment that has ``jit_functions()`` makes them."""
+    """Return compiled ``reset`` and ``step`` of one environment, from its own ``jit_functions()`` if it has them."""
     if hasattr(env, "jit_functions"):
         return env.jit_functions()
     return jax.jit(env.reset), jax.jit(env.step)
 
 
 def refuse_active_human(env: Any, allow_joint_observation: bool) -> None:
-    """Stop single-agent training where the person acts too.
+    """Reject single-agent training if the person acts too.
 
     Raises:
-        ActiveHumanError: more than one agent acts, and it was not allowed.
+        ActiveHumanError: if more than one agent acts, and joint training was not allowed.
     """
     agents = env.action_sizes
     if len(agents) <= 1 or allow_joint_observation:
@@ -75,10 +75,10 @@ def refuse_active_human(env: Any, allow_joint_observation: bool) -> None:
 
 
 def refuse_static_human(env: Any) -> None:
-    """Stop two-agent training where only the robot acts.
+    """Reject two-agent training if only the robot acts.
 
     Raises:
-        ActiveHumanError: says which id has two agents.
+        ActiveHumanError: if so; the message says which id has two agents.
     """
     if len(env.action_sizes) < 2:
         raise ActiveHumanError(

@@ -1,4 +1,4 @@
-"""Errors of training: what was asked, what fits, what to do next."""
+"""Errors raised by training; messages state what was requested, what is valid, and what to do next."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ P = ParamSpec("P")
 
 
 class ConfigError(AgymError, ValueError):
-    """Training settings that do not fit together."""
+    """Training settings that are invalid or inconsistent."""
 
 
 class ActiveHumanError(AgymError, ValueError):
-    """Single-agent training of an environment in which the person acts too."""
+    """Single-agent training with an active person, or two-agent training with a passive one."""
 
 
 class DivergedError(AgymError, ArithmeticError):
-    """Training produced NaN or infinite losses."""
+    """Training produced a NaN or infinite loss."""
 
 
 class CheckpointMismatchError(AgymError, ValueError):
-    """A checkpoint of another environment, observation layout or network."""
+    """A checkpoint for a different environment, observation layout or network."""
 
 
 class CheckpointWarning(UserWarning):
@@ -34,14 +34,14 @@ class CheckpointWarning(UserWarning):
 
 
 class RunInUseError(AgymError, RuntimeError):
-    """The folder of a run in which another process is training."""
+    """A run's folder in which another process is training."""
 
 
 def check_save_dir(save_dir: str | None) -> None:
-    """Refuse a folder without a name, which would be the current one.
+    """Reject an empty folder name, which would mean the current folder.
 
     Raises:
-        ConfigError: says what to write instead.
+        ConfigError: if the name is empty; the message says what to use instead.
     """
     if save_dir is not None and not save_dir.strip():
         raise ConfigError(
@@ -51,7 +51,7 @@ def check_save_dir(save_dir: str | None) -> None:
 
 
 def reports_errors(main: Callable[P, int]) -> Callable[P, int]:
-    """A command line that says what is wrong instead of showing where it was noticed: exit status 2, interrupted 130."""
+    """Wrap a command line so that errors print a message instead of a traceback: exit status 2, or 130 if interrupted."""
 
     @functools.wraps(main)
     def run(*args: P.args, **kwargs: P.kwargs) -> int:

@@ -1,7 +1,7 @@
-"""Measure a policy: ``agym-jax evaluate --env-name ScratchItchJaco-v0 --num-episodes 100``.
+"""Evaluate a policy: ``agym-jax evaluate --env-name ScratchItchJaco-v0 --num-episodes 100``.
 
-Episodes run side by side. As in Assistive Gym's 100-episode evaluation:
-return, mean over the steps of the force on the person, and success at the last step.
+All episodes run in parallel. As in Assistive Gym's evaluation over 100 episodes, the results are the return, the mean
+over the steps of the force on the person, and success at the last step.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ def evaluate(
     impl: str = "auto",
     deterministic: bool = True,
 ) -> EvaluationResult:
-    """Measure a policy; to measure several, keep an ``Evaluator``.
+    """Evaluate a policy; to evaluate several, create an ``Evaluator`` and reuse it.
 
     Args:
         env: environment or its id.
-        policy: a ``Policy``, a ``Pair`` of them, ``"zero"``, ``"random"``, or a function like one.
-        num_episodes: how many.
+        policy: a ``Policy``, a ``Pair`` of them, ``"zero"``, ``"random"``, or a function with the same signature.
+        num_episodes: number of episodes.
         key: random key or seed.
         impl: physics, if ``env`` is an id.
-        deterministic: take the mode of the policy's distribution.
+        deterministic: act by the mode of the policy's distribution.
 
     Raises:
-        ConfigError: less than one episode.
+        ConfigError: if there is less than one episode.
     """
     if num_episodes < 1:
         raise ConfigError(f"num_episodes must be at least 1, got {num_episodes}.")
@@ -67,18 +67,18 @@ class EvaluateConfig(PolicyFlags):
     """Flags of ``agym-jax evaluate``."""
 
     num_episodes: Count = 100
-    """Episodes, all side by side."""
+    """Number of episodes, all run in parallel."""
     seed: int = 1001
     """Seed of the episodes (Assistive Gym: training seed + 1000)."""
     impl: str = "auto"
-    """Physics: "jax", "warp", "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU where it is installed."""
+    """Physics: "jax", "warp", "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU if installed."""
     by_group: bool = False
-    """Tell success by sex, impairment and size of the person; else only who is helped least."""
+    """Report success by sex, impairment and size of the person; otherwise only the group with the lowest success."""
     json: str | None = None
-    """File to which the result is added as a JSON line."""
+    """File to which the result is appended as a JSON line."""
 
     def __post_init__(self) -> None:
-        """Refuse what means nothing, before anything is built."""
+        """Reject invalid settings before anything is built."""
         checked_count("--num-episodes", self.num_episodes)
 
 
@@ -88,7 +88,7 @@ def main(
     make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.evaluate",
 ) -> int:
-    """The command line; returns the exit status."""
+    """Run the command line and return the exit status."""
     config = parse_flags(EvaluateConfig, arguments, prog)
     if config.json:
         check_writable(Path(config.json).parent, "Choose another file with --json.")

@@ -33,20 +33,20 @@ def train(
     Args:
         env: an environment (``agym_jax.make``) with one acting agent, or a ``StepwiseEnv``.
         config: settings; ``save_dir=None`` writes no files.
-        progress: is told what happens; None shows nothing.
-        on_log: called as ``on_log(row, policy)`` at each log line, where ``policy()`` makes the
-            present policy; a true result stops the run (its state is saved).
+        progress: receives progress reports; None shows nothing.
+        on_log: called as ``on_log(row, policy)`` at each log line, where ``policy()`` returns the current policy; a true
+            result stops the run (its state is saved).
 
     Returns:
         Policy, learning curve and times.
 
     Raises:
-        ActiveHumanError: the person acts too, and it was not allowed.
-        ConfigError: settings that do not fit together.
-        SaveFolderError: results cannot be written.
-        CheckpointMismatchError: the folder holds a run of something else.
-        BufferOverflowError: the physics lost contacts.
-        DivergedError: a loss is not finite.
+        ActiveHumanError: if the person acts too, and joint training was not allowed.
+        ConfigError: if settings are inconsistent.
+        SaveFolderError: if results cannot be written.
+        CheckpointMismatchError: if the folder contains a run of something else.
+        BufferOverflowError: if the physics lost contacts.
+        DivergedError: if a loss is not finite.
     """
     refuse_active_human(env, config.allow_joint_observation)
     config, mesh = resolve_config(env, config)
@@ -63,7 +63,7 @@ def main(
     make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.ppo",
 ) -> int:
-    """The command line; returns the exit status."""
+    """Run the command line and return the exit status."""
     return command_line(PPOConfig, train, arguments, make, prog)
 
 

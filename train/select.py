@@ -1,8 +1,8 @@
-"""Which seed of a run to use: ``agym-jax select trained_models/ScratchItchJaco-v0``.
+"""Choose the best seed of a run: ``agym-jax select trained_models/ScratchItchJaco-v0``.
 
-Measures the policy of every seed of a run that had several (``--num-seeds``), chooses the best one over one set of
-people, and measures that one again over others: a figure of the people that it was chosen for would flatter it. The
-chosen policy is copied into the run's folder, where ``evaluate``, ``enjoy`` and ``agym_jax.load_policy`` find it.
+Evaluates the policy of every seed of a run with several seeds (``--num-seeds``), chooses the best one on one set of
+people, and evaluates it again on another set, because results on the people used for the choice would be biased upwards.
+The chosen policy is copied into the run's folder, where ``evaluate``, ``enjoy`` and ``agym_jax.load_policy`` find it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ CHOSEN = (
     "success", "success_low", "success_high", "return_mean", "return_std", "force_mean",
     "gentle_success", "peak_median", "peak_99",
 )  # fmt: skip
-"""Of the summary of the chosen policy, that its line tells; the last where the environment measures them."""
+"""Entries of the chosen policy's summary that are printed; the last ones only if the environment measures them."""
 
 
 @dataclass(frozen=True)
@@ -51,26 +51,26 @@ class SelectConfig:
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """Folder of a run with several seeds, such as trained_models/ScratchItchJaco-v0."""
     num_episodes: Count = 1000
-    """Episodes of each policy, all side by side."""
+    """Number of episodes per policy, all run in parallel."""
     seed: int = 2001
-    """Seed of the episodes over which a seed is chosen."""
+    """Seed of the episodes used to choose among the run's seeds."""
     report_seed: int = 1001
-    """Seed of the episodes over which the chosen one is reported."""
+    """Seed of the episodes used to report the results of the chosen seed."""
     gently: bool | None = None
-    """Choose the seed with most gentle successes instead of most successes; None: if the run had a --cost-limit."""
+    """Choose the seed with the most gentle successes instead of the most successes; None: if the run had a --cost-limit."""
     shipped: bool = True
-    """Measure the policy that ships with agym_jax over the same people as the chosen one, if there is one."""
+    """Also evaluate the policy that ships with agym_jax, if there is one, on the same people as the chosen one."""
     impl: str = "auto"
     """Physics: "jax", "warp", "native" or "auto"."""
     json: str | None = None
-    """File to which the result is added as a JSON line."""
+    """File to which the result is appended as a JSON line."""
 
 
 def seed_folders(run: Path) -> dict[int, Path]:
-    """Seed -> folder, of a run's seeds in order.
+    """Map the seeds of a run to their folders, in order.
 
     Raises:
-        PolicyNotFoundError: there are none; says what a run with several seeds looks like.
+        PolicyNotFoundError: if there are none; the message explains what a run with several seeds looks like.
     """
     found = {
         int(path.name.removeprefix("seed_")): path
@@ -86,11 +86,11 @@ def seed_folders(run: Path) -> dict[int, Path]:
 
 
 def load_seeds(run: Path, make: Callable[..., Any], impl: str) -> tuple[Any, dict[int, AnyPolicy]]:
-    """The environment of a run, with the settings that it was trained with, and the policy of each of its seeds.
+    """Return the environment of a run, with its training settings, and the policy of each of its seeds.
 
     Raises:
-        PolicyNotFoundError: there are none.
-        PolicyEnvironmentError, PolicyLayoutError: they do not fit the environment.
+        PolicyNotFoundError: if there are no policies.
+        PolicyEnvironmentError, PolicyLayoutError: if they do not fit the environment.
     """
     folders = seed_folders(run)
     trained = read_policy(next(iter(folders.values())) / FILE_NAMES["robot"])
@@ -99,7 +99,7 @@ def load_seeds(run: Path, make: Callable[..., Any], impl: str) -> tuple[Any, dic
 
 
 def had_limit(run: Path) -> bool:
-    """Whether a run was trained with ``--cost-limit``."""
+    """Return whether a run was trained with ``--cost-limit``."""
     settings = run / "config.json"
     if not settings.is_file():
         return False
@@ -107,10 +107,10 @@ def had_limit(run: Path) -> bool:
 
 
 def check(config: SelectConfig) -> None:
-    """Refuse a choice that means nothing, before anything is built.
+    """Reject an invalid choice before anything is built.
 
     Raises:
-        ConfigError: it would be chosen and reported over the same episodes, or over none.
+        ConfigError: if the choice and the report would use the same episodes, or none.
     """
     if config.seed == config.report_seed:
         raise ConfigError(
@@ -124,7 +124,7 @@ def check(config: SelectConfig) -> None:
 def select(
     evaluator: Evaluator, policies: dict[int, AnyPolicy], config: SelectConfig
 ) -> tuple[SeedScores, EvaluationResult]:
-    """Measure all, choose the best, measure that again."""
+    """Evaluate all policies, choose the best, and evaluate it again."""
     gently = had_limit(Path(config.run)) if config.gently is None else config.gently
     key = jax.random.PRNGKey(config.seed)
     scores = score_seeds(evaluator, policies, key, gently=gently)
@@ -134,7 +134,7 @@ def select(
 def measure_shipped(
     evaluator: Evaluator, config: SelectConfig
 ) -> tuple[EvaluationResult | None, str]:
-    """What ships for an environment, over the people of the report; or None and why, empty if nothing ships."""
+    """Evaluate the shipped policy on the people of the report; or return None and the reason, empty if none ships."""
     try:
         files = find_policies(evaluator.env.name)
     except PolicyNotFoundError:
@@ -152,7 +152,7 @@ def main(
     make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.select",
 ) -> int:
-    """The command line; returns the exit status."""
+    """Run the command line and return the exit status."""
     config = tyro.cli(SelectConfig, prog=prog, args=arguments, description=__doc__)
     run = Path(config.run).resolve()
     check(config)

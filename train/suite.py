@@ -1,10 +1,10 @@
-"""Train and choose policies of many environments: ``agym-jax suite --only Jaco --num-seeds 8``.
+"""Train many environments and choose a policy for each: ``agym-jax suite --only Jaco --num-seeds 8``.
 
-Every environment gets a run with several seeds (``train``, or ``coop`` where the person acts too), then a choice
-among them (``select``, over one set of people, reported over another), and a film of the chosen one (``enjoy``), as
-processes of their own: one at a time on each GPU of the machine. A table and a picture of all runs are in the save
-folder (``results.md``, ``curves.png``) and grow with each environment. Rerunning the same command goes on where it was
-stopped: finished runs are kept, unfinished ones resumed from their checkpoint.
+For every environment, the suite trains several seeds (``train``, or ``coop`` if the person acts too), chooses the best
+one (``select``, on one set of people, reported on another), and films the chosen policy (``enjoy``). Each of these is a
+separate process, one at a time per GPU. The save folder contains a table and a plot of all runs (``results.md``,
+``curves.png``), which are updated after each environment. Rerunning the same command continues where it was stopped:
+finished runs are kept, and unfinished ones are resumed from their checkpoints.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LINE_PERIOD = 60.0  # seconds between lines about the whole
 
 
 def write_results(config: SuiteConfig, ids: Sequence[str]) -> None:
-    """The table and the picture of all runs that are finished, into the save folder."""
+    """Write the table and the plot of all finished runs to the save folder."""
     folder = Path(config.save_dir)
     there = [(selection_of(folder / name), training_summary(folder / name)) for name in ids]
     runs = [(selection, training) for selection, training in there if selection]
@@ -46,7 +46,7 @@ def write_results(config: SuiteConfig, ids: Sequence[str]) -> None:
 
 
 def describe(outcome: Outcome) -> str:
-    """A line of the table, or what failed."""
+    """Return a line of the table, or what failed."""
     name = f"{outcome.env_name:<28}"
     took = "finished before" if outcome.kept else duration(outcome.seconds)
     if outcome.line is None:
@@ -66,7 +66,7 @@ def main(
     prog: str = f"python -m {__package__}.suite",
     program: tuple[str, ...] | None = None,
 ) -> int:
-    """The command line; returns the exit status."""
+    """Run the command line and return the exit status."""
     raise_again()
     try:
         config = tyro.cli(SuiteConfig, prog=prog, args=arguments, description=__doc__)
@@ -103,7 +103,7 @@ def main(
 
 
 def _run_all(config: SuiteConfig, ids: Sequence[str], runner: Runner) -> int:
-    """Everything, with a line for each environment and one a minute for the whole; returns the exit status."""
+    """Run everything, printing a line per environment and an overall line every minute; return the exit status."""
     whole, over = Whole(config, ids), threading.Event()
 
     def tell() -> None:

@@ -1,9 +1,9 @@
 """Compare settings with several seeds each, in one program: ``agym-jax sweep --env-name ID --grid lr=3e-4,1e-3``.
 
-All settings and seeds learn side by side, as with ``--num-seeds``. That is possible for hyper-parameters that are
-arguments of the compiled update (those in ``SWEPT``); others need a run of their own. ``--grid`` tries all
-combinations, ``--random`` draws some of them. The table ranks the settings by the success of their seeds at the end
-of training; measure the best ones again, with fresh seeds, before you believe it.
+All settings and seeds are trained in parallel, as with ``--num-seeds``. This works for hyperparameters that are arguments
+of the compiled update (those in ``SWEPT``); others need separate runs. ``--grid`` tries all combinations, ``--random``
+draws some of them. The table ranks the settings by the success of their seeds at the end of training; confirm the best
+ones with new seeds before relying on the ranking.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ SWEPT = (
     "noise_floor",
     "cost_limit", "cost_multiplier_max", "cost_proportional", "cost_integral", "cost_derivative", "cost_tighten_from", "cost_tighten_until",
 )  # fmt: skip
-"""Settings that are arguments of the compiled update. A sweep without ``cost_limit`` has none."""
+"""Settings that are arguments of the compiled update. A sweep without ``cost_limit`` has no cost limit."""
 Setting = dict[str, float]
 
 
@@ -51,34 +51,34 @@ class SweepConfig(EnvFlags):
     env_name: str = "ReachingSawyer-v0"
     """Environment id."""
     grid: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=A,B,... ...")] = ()
-    """Values to try of each hyper-parameter."""
+    """Values to try for each hyperparameter."""
     random: Count = 0
-    """Try so many random combinations of the grid's values instead of all."""
+    """Try this many random combinations of the grid's values instead of all of them."""
     num_seeds: Count = 4
-    """Seeds of each setting."""
+    """Number of seeds per setting."""
     num_env_steps: Count = 0
-    """Environment steps of each seed; 0 = the environment's default."""
+    """Environment steps per seed; 0 = the environment's default."""
     num_envs: Count = 0
-    """Environments of each seed; 0 = the environment's default."""
+    """Number of environments per seed; 0 = the environment's default."""
     seed: int = 1
-    """First seed, and that of the random combinations."""
+    """First seed, also used to draw the random combinations."""
     impl: str = "auto"
     """Physics: "jax", "warp", "native" or "auto"."""
     save_dir: str | None = "sweeps"
-    """Folder of the results. None writes nothing."""
+    """Folder for the results. None writes nothing."""
 
     def __post_init__(self) -> None:
-        """Refuse what means nothing, before anything is built."""
+        """Reject invalid settings before anything is built."""
         checked_count("--num-seeds", self.num_seeds)
         check_save_dir(self.save_dir)
 
 
 def parse_grid(grid: Sequence[str], random: int = 0, seed: int = 0) -> list[Setting]:
-    """The settings that ``--grid`` and ``--random`` ask for.
+    """Return the settings that ``--grid`` and ``--random`` specify.
 
     Raises:
-        UnknownNameError: a name is not in ``SWEPT``.
-        ConfigError: an entry is not NAME=A,B,..., or there is nothing to compare.
+        UnknownNameError: if a name is not in ``SWEPT``.
+        ConfigError: if an entry is not of the form NAME=A,B,..., or there is nothing to compare.
     """
     axes: dict[str, list[float]] = {}
     for entry in grid:
@@ -100,12 +100,12 @@ def parse_grid(grid: Sequence[str], random: int = 0, seed: int = 0) -> list[Sett
 
 
 def name_of(setting: Mapping[str, float]) -> str:
-    """A setting in words, also the name of its folder."""
+    """Return the name of a setting, which is also the name of its folder."""
     return ",".join(f"{name}={value:g}" for name, value in setting.items())
 
 
 def lanes_of_sweep(config: LearnConfig, settings: Sequence[Setting], num_seeds: int) -> list[Lane]:
-    """The trainings of a sweep: every setting with the same seeds."""
+    """Return the trainings of a sweep: every setting with the same seeds."""
     kinds = {x.name: type(getattr(config, x.name)) for x in dataclasses.fields(config)}
     kinds["cost_limit"] = float  # None where there is none
     return [
@@ -125,11 +125,11 @@ def sweep(
     num_seeds: int,
     progress: Progress | None = None,
 ) -> TrainResult:
-    """Train all settings with all seeds; the result's ``seeds`` are in that order.
+    """Train all settings with all seeds; the result's ``seeds`` are in this order.
 
     Raises:
-        ConfigError, SaveFolderError, BufferOverflowError: as ``train.ppo.train``.
-        DivergedError: all of them diverged.
+        ConfigError, SaveFolderError, BufferOverflowError: as for ``train.ppo.train``.
+        DivergedError: if all of them diverged.
     """
     refuse_active_human(env, config.allow_joint_observation)
     if "cost_limit" in settings[0]:  # the program has a limit, its value is an argument
@@ -141,7 +141,7 @@ def sweep(
 
 
 def rank(result: TrainResult, settings: Sequence[Setting], num_seeds: int) -> list[dict[str, Any]]:
-    """What every setting gives at the end of training, the best first; a seed that diverged has no success."""
+    """Return the results of every setting at the end of training, best first; a diverged seed has no success."""
     ranked = []
     for i, setting in enumerate(settings):
         seeds = result.seeds[i * num_seeds : (i + 1) * num_seeds]
@@ -161,19 +161,19 @@ def rank(result: TrainResult, settings: Sequence[Setting], num_seeds: int) -> li
 
 
 def _gentle(seeds: Sequence[SeedResult]) -> dict[str, float]:
-    """Interquartile means of gentle success and of the mean peak force [N]; nothing where it is not measured."""
+    """Return interquartile means of gentle success and of the mean peak force [N]; nothing if they are not measured."""
     curves = [found.curve for found in seeds if found.curve and "gentle" in found.curve[-1]]
     names = ("gentle", "peak") if curves else ()
     return {f"{name}_iqm": iqm([_last(curve, name) for curve in curves]) for name in names}
 
 
 def _last(curve: Sequence[Mapping[str, Any]], name: str) -> float:
-    """The last known value of a column of a curve, 0 if there is none."""
+    """Return the last known value of a column of a curve, 0 if there is none."""
     return next((row[name] for row in reversed(curve) if row.get(name) is not None), 0.0)
 
 
 def table(ranked: Sequence[Mapping[str, Any]]) -> str:
-    """The ranking for people."""
+    """Format the ranking as a table."""
     lines = ["success: interquartile mean (95 % interval), worst seed   return   setting"]
     for x in ranked:
         lost = f"   {x['diverged']} diverged" if x["diverged"] else ""
@@ -193,7 +193,7 @@ def main(
     make: Callable[..., Any] = make_env,
     prog: str = f"python -m {__package__}.sweep",
 ) -> int:
-    """The command line; returns the exit status."""
+    """Run the command line and return the exit status."""
     flags = parse_flags(SweepConfig, arguments, prog, __doc__)
     settings = parse_grid(flags.grid, flags.random, flags.seed)
     config = config_for(flags.env_name, platform=jax.default_backend())

@@ -1,4 +1,4 @@
-"""What a task changes of the base settings of PPO, measured on a GPU with several seeds each (docs/seeds.md)."""
+"""Changes of each task to the base settings of PPO, determined on a GPU with several seeds each (docs/seeds.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``agym-jax view ID``: an episode in the browser, or one kept as a page (``--export``)."""
+"""``agym-jax view ID``: watch an episode in the browser, or save it as a web page (``--export``)."""
 
 from __future__ import annotations
 
@@ -36,29 +36,29 @@ class ViewConfig(PolicyFlags):
     """Flags of ``agym-jax view``."""
 
     seed: int = 1001
-    """Seed of the first episode; the next ones have the seeds after it."""
+    """Seed of the first episode; later episodes use the seeds that follow."""
     grid: Count = 1
-    """Episodes side by side."""
+    """Number of episodes shown side by side."""
     visuals: str = "primitives"
-    """What the robot looks like: "primitives", or "meshes" of other packages (agym_jax[meshes])."""
+    """Appearance of the robot: "primitives", or "meshes" from other packages (agym_jax[meshes])."""
     host: str = "127.0.0.1"
-    """Address to serve at."""
+    """Address on which to serve."""
     port: int = 8080
-    """Port to serve at; 0 = any that is free."""
+    """Port on which to serve; 0 = any free port."""
     export: Path | None = None
-    """Page to write instead, .html: an episode that opens without a server."""
+    """Instead of serving, write an episode to this .html page, which opens without a server."""
     steps: Count | None = None
-    """With --export: control steps; without it, the whole episode."""
+    """With --export: number of control steps; by default, the whole episode."""
 
 
 def check(config: ViewConfig) -> None:
-    """Refuse what cannot be shown, before anything is built.
+    """Reject settings that cannot be shown, before anything is built.
 
     Raises:
-        MissingExtraError: viser is not installed.
-        UnknownNameError: there is no such environment, or there are no such visuals.
-        ArgumentError: a number or a file that makes no sense, or a port that is in use.
-        SaveFolderError: the page's folder cannot be written to.
+        MissingExtraError: if viser is not installed.
+        UnknownNameError: if there is no such environment, or there are no such visuals.
+        ArgumentError: if a number or a file name is invalid, or the port is in use.
+        SaveFolderError: if the page's folder cannot be written to.
     """
     from agym_jax.data.npz import check_writable
     from agym_jax.registry import parse
@@ -86,10 +86,10 @@ def check(config: ViewConfig) -> None:
 
 
 def check_port(host: str, port: int) -> None:
-    """Refuse a port that cannot be served at.
+    """Reject a port on which the page cannot be served.
 
     Raises:
-        ArgumentError: it is in use, or there is no such port or address.
+        ArgumentError: if it is in use, or there is no such port or address.
     """
     if not 0 <= port < 2**16:
         raise ArgumentError(f"--port must be from 0 to 65535 (0: any that is free), got {port}.")
@@ -105,11 +105,11 @@ def check_port(host: str, port: int) -> None:
 
 
 def main(argv: Sequence[str] | None = None, prog: str = "agym-jax view") -> int:
-    """The command line, with the id as ``--env-name`` or as the first word; returns the exit status."""
+    """Run the command line, with the id as ``--env-name`` or as first argument, and return the exit status."""
     words = sys.argv[1:] if argv is None else list(argv)
     if words and not words[0].startswith("-"):
         words = ["--env-name", *words]
-    does = f"Watch an episode in the browser, drive it by hand, or keep it as a page: {prog} ID ..."
+    does = f"Watch an episode in the browser, control it by hand, or save it as a web page: {prog} ID ..."
     config = parse_flags(ViewConfig, words, prog, does)
     try:
         check(config)
@@ -121,10 +121,10 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax view") -> int:
 
 
 def run(config: ViewConfig) -> None:
-    """Serve or write the page; returns when it is written, or by a KeyboardInterrupt.
+    """Serve or write the page; returns when it is written, or on KeyboardInterrupt.
 
     Raises:
-        AgymError: a policy that does not exist or does not fit.
+        AgymError: if a policy does not exist or does not fit.
     """
     began = time.perf_counter()
 
@@ -158,7 +158,7 @@ def run(config: ViewConfig) -> None:
 
 
 def begin(config: ViewConfig, env: Any, policy: AnyPolicy | None, say: Say) -> Stage:
-    """The environments, in which an episode begins."""
+    """Make the environments and begin an episode."""
     from agym_jax.viewer.drive import Driver
     from agym_jax.viewer.stage import Stage
 
@@ -172,7 +172,7 @@ def begin(config: ViewConfig, env: Any, policy: AnyPolicy | None, say: Say) -> S
 def export(
     config: ViewConfig, file: Path, env: Any, policy: AnyPolicy | None, picture: Picture, say: Say
 ) -> None:
-    """Write an episode as a page."""
+    """Write an episode to a page."""
     from agym_jax.viewer.replay import write_replay
 
     stage = begin(config, env, policy, say)
@@ -184,7 +184,7 @@ def export(
 def serve(
     config: ViewConfig, env: Any, policy: AnyPolicy | None, picture: Picture, say: Say
 ) -> None:
-    """Serve the page until a KeyboardInterrupt."""
+    """Serve the page until KeyboardInterrupt."""
     from agym_jax.viewer.page import PANEL, Page
     from agym_jax.viewer.stage import preview
 
@@ -202,12 +202,12 @@ def serve(
 
 
 def policy_files(config: ViewConfig, say: Say) -> PolicyFiles | None:
-    """Whose policies drive; None if none was asked for and none is shipped.
+    """Return the policies that control the episode; None if none is requested and none is shipped.
 
-    A robot's policy for a person who holds still serves where the person acts, who then does nothing.
+    A robot policy for a passive person can also be used if the person is active, who then does nothing.
 
     Raises:
-        AgymError: one that was asked for does not exist.
+        AgymError: if a requested policy does not exist.
     """
     from agym_jax.policy.agents import BASELINES
     from agym_jax.policy.files import PolicyFiles, find_policies

@@ -1,4 +1,4 @@
-"""What a suite is asked to do: its flags, and which environments with how many steps."""
+"""Flags of a suite, and the environments and numbers of steps that they select."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ class SuiteConfig:
     """Flags of ``agym-jax suite``."""
 
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Parts of ids, such as Jaco or ScratchItchPR2-v0, trained in this order; without them, all environments."""
+    """Parts of ids, such as Jaco or ScratchItchPR2-v0, trained in this order; by default, all environments."""
     num_seeds: Count = 8
-    """Seeds of each environment."""
+    """Number of seeds per environment."""
     num_episodes: Count = 1000
-    """Episodes over which a seed is chosen, and of others over which it is reported."""
+    """Number of episodes used to choose a seed, and of separate episodes used to report its results."""
     save_dir: str = "trained_suite"
-    """Folder of the runs, the logs and the results."""
+    """Folder for runs, logs and results."""
     parallel: Count = 1
-    """Environments trained at the same time on each GPU."""
+    """Number of environments trained at the same time on each GPU."""
     gpus: Count = 0
-    """GPUs to spread them over, each training on one; 0 = all there are."""
+    """Number of GPUs to use, with each training on a single GPU; 0 = all available."""
     steps: tuple[str, ...] = ()
-    """Steps of a seed where the trainer's default does not suit: NAME=STEPS, such as Dressing=6e6."""
+    """Environment steps per seed, to override the trainer's default: NAME=STEPS, such as Dressing=6e6."""
     flags: str = ""
-    """Further flags of train and coop: --flags="--num-envs 2048 --lr 1e-3"."""
+    """Further flags for train and coop: --flags="--num-envs 2048 --lr 1e-3"."""
     shipped: bool = True
-    """Measure the policies that ship with agym_jax too, over the people of the report."""
+    """Also evaluate the policies that ship with agym_jax, on the people used for the report."""
     clips: bool = True
     """Film an episode of each chosen policy, on the CPU while the next environments train."""
 
     def __post_init__(self) -> None:
-        """Refuse what means nothing, before anything is built."""
+        """Reject invalid settings before anything is built."""
         for name in ("num_seeds", "num_episodes", "parallel"):
             checked_count(f"--{name.replace('_', '-')}", getattr(self, name))
         check_save_dir(self.save_dir)
 
 
 def named(parts: Sequence[str], ids: Sequence[str], kind: str = "environment") -> list[str]:
-    """Ids that contain one of the parts, in the order of the parts; all of them if there are no parts.
+    """Return the ids that contain one of the parts, in the order of the parts; all ids if there are no parts.
 
     Args:
-        parts: of ids, such as Jaco.
-        ids: which there are.
-        kind: what the ids are of, for the error.
+        parts: parts of ids, such as Jaco.
+        ids: available ids.
+        kind: what the ids identify, for the error message.
 
     Raises:
-        UnknownNameError: a part is in no id.
+        UnknownNameError: if no id contains a part.
     """
     for part in parts:
         if not any(part in name for name in ids):
@@ -65,10 +65,10 @@ def named(parts: Sequence[str], ids: Sequence[str], kind: str = "environment") -
 
 
 def steps_of(steps: Sequence[str], env_name: str) -> list[str]:
-    """The flag for the steps of an environment, from the longest NAME that its id begins with.
+    """Return the flag for the steps of an environment, from the longest NAME with which its id begins.
 
     Raises:
-        ConfigError: an entry is not NAME=STEPS.
+        ConfigError: if an entry is not of the form NAME=STEPS.
     """
     found = ("", "")
     for entry in steps:

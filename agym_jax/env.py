@@ -152,7 +152,7 @@ class AssistiveEnv:
             WrapperError: always, so that ``hasattr(env, "sys")`` is false.
         """
         raise WrapperError(
-            f"{self.name} has no sys: every human has a model of their own, in state.episode. Instead of Brax's "
+            f"{self.name} has no sys: each person has their own model, in state.episode. Instead of Brax's "
             f"DomainRandomizationVmapWrapper, use agym_jax.make(name, humans=Population(...), robot=RobotVariation(...)); "
             f"instead of its GymWrapper and DmEnvWrapper, gymnasium.make(name)."
         )

@@ -80,7 +80,7 @@ def _check_names(record: type) -> None:
             )
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise SpecError(f"{record.__name__} has two columns of the name {', '.join(twice)}.")
+        raise SpecError(f"{record.__name__} has two columns named {', '.join(twice)}.")
 
 
 def columns(record: type, source: str = "") -> dict[str, Column]:

@@ -63,7 +63,7 @@ def _check_name(kind: str, name: str) -> None:
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name.endswith("Human"):
         raise SpecError(
             f"A {kind} cannot be called {name!r}: ids are made of its name, as in ScratchItchJaco-{VERSION}. Use letters "
-            f"and digits, beginning with a letter, and not Human at the end."
+            f"and digits, begin with a letter, and do not end with Human."
         )
 
 

@@ -89,7 +89,7 @@ def checked_variation(robot: Any) -> RobotVariation | None:
     if not isinstance(robot, RobotVariation):
         raise ArgumentError(
             f"robot must be a RobotVariation, got {robot!r}. Write robot=agym_jax.RobotVariation(friction=(0.8, 1.2)); "
-            f"which robot it is says the id."
+            f"the id says which robot it is."
         )
     return robot if robot.varies() else None
 

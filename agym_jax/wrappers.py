@@ -105,8 +105,8 @@ class VectorEnv:
             )
         if np.shape(state.obs)[:-1] != (self.num_envs,):
             raise ArgumentError(
-                f"{self.name} in a batch of {self.num_envs} steps states of that batch, got one with observations of "
-                f"shape {np.shape(state.obs)}. Take what its own reset and step return."
+                f"{self.name} in a batch of {self.num_envs} can only step states of that batch, got one with observations of "
+                f"shape {np.shape(state.obs)}. Use the states that its own reset and step return."
             )
 
     def stagger(self, state: Any, key: Array, interval: int | None = None) -> Any:

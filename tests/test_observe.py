@@ -135,7 +135,7 @@ def test_columns_of_a_part_stand_in_its_place():
 
 
 def test_a_record_that_does_not_fit_together_is_refused():
-    with pytest.raises(SpecError, match=r"two columns of the name place\."):
+    with pytest.raises(SpecError, match=r"two columns named place\."):
         record(place=place(), toy=part(Toy))
     for odd in (dataclasses.field(), part(int)):
         with pytest.raises(SpecError, match=r"Record\.odd is neither column\("):

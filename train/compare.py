@@ -74,7 +74,7 @@ def main(
     def same(name: str, *_: Any, **__: Any) -> Any:
         if name != env.name:
             raise ConfigError(
-                f"{env.name} and {name} are different environments; compare two runs of one."
+                f"{env.name} and {name} are different environments; compare two runs of the same one."
             )
         return env
 

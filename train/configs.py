@@ -169,7 +169,7 @@ class LearnConfig(EnvFlags):
                 )
         if self.noise_floor and self.distribution != "normal":
             raise ConfigError(
-                f"noise_floor bounds the deviation of --distribution normal; {self.distribution} has none of its own."
+                f"noise_floor bounds the deviation of --distribution normal; {self.distribution} has no such parameter."
             )
         check_save_dir(self.save_dir)
         for name in SHARES:
@@ -224,7 +224,7 @@ class CoopConfig(LearnConfig):
                 )
         if self.freeze_robot and self.freeze_human:
             raise ConfigError(
-                "--freeze-robot with --freeze-human leaves nobody to learn. Use one of them, or "
+                "--freeze-robot with --freeze-human leaves nothing to train. Use one of them, or "
                 "agym-jax evaluate to measure the two policies."
             )
 
@@ -298,7 +298,7 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
     num_envs = config.num_envs or NUM_ENVS.get(platform, NUM_ENVS["gpu"])
     if num_envs % devices:
         raise ConfigError(
-            f"{num_envs} environments cannot be shared by {devices} devices. Nearest that can: "
+            f"{num_envs} environments cannot be divided evenly among {devices} devices. Nearest number that can: "
             f"--num-envs {devices * max(1, round(num_envs / devices))}; or use fewer: --devices 1."
         )
     batch = num_envs * config.num_steps

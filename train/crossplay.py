@@ -173,7 +173,7 @@ def run(config: CrossplayConfig, make: Callable[..., Any] = make_env) -> Matrix:
                 **result.summary(),
             )
             append_record(config.json, line)
-    print(f"{env.name}, {config.num_episodes} episodes a pair\n{table(matrix)}")
+    print(f"{env.name}, {config.num_episodes} episodes per pair\n{table(matrix)}")
     return matrix
 
 

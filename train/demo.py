@@ -157,7 +157,7 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
     env = make(config.env_name, "native")  # first: it knows which ids there are
     path = find_policy(config.env_name.rpartition(":")[2], None, config.policy)
     policy = load_policies(PolicyFiles(str(path), None), env)
-    say(f"The trained robot helps {config.humans} people, none of whom it has met before.")
+    say(f"The trained policy helps {config.humans} people that it has not seen in training.")
     recorder = Recorder()
     key = jax.random.PRNGKey(config.seed + 1000)
     evaluator = Evaluator(env, config.humans, at_once=config.humans)
@@ -166,12 +166,12 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
     print(result.table())
     print(f"  random actions: return {random.returns.mean():.2f}, success {random.success:.1%}")
     world = typical(result)
-    say(f"Drawing the episode with the median return ({result.returns[world]:.1f}).")
+    say(f"Rendering the episode with the median return ({result.returns[world]:.1f}).")
     film, sheet = make_film(env, list(recorder.frames(world)), config.out, config.film_seconds)
 
     left = config.budget - (time.perf_counter() - began)
     seconds = min(config.seconds, max(LEAST_TRAINING, left))
-    say(f"Training a robot from scratch: {config.num_env_steps:,} steps, {seconds:.0f} s at most.")
+    say(f"Training a policy from scratch: {config.num_env_steps:,} steps, {seconds:.0f} s at most.")
     settings = config_for(env.name, platform="cpu")
     changes = {
         "num_env_steps": config.num_env_steps,
@@ -187,7 +187,7 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
     print(summary(trained))
     # not by the mode, as evaluate does without --non-det: after so few steps, noise does a part of the task
     result = evaluator(trained.policy, jax.random.PRNGKey(config.seed + 2000), deterministic=False)
-    say(f"The robot that was just trained helps {config.humans} other people.")
+    say(f"The newly trained policy helps {config.humans} other people.")
     print(result.table())
     print(SAMPLED)
     print(f"Film:           {film}\nPictures:       {sheet}")

@@ -152,7 +152,7 @@ class Player:
                 yield number, self.episode(number)
         for number in range(seed, seed + LOOK_THROUGH):
             if sys.stderr.isatty():
-                print(f"\rlooking at seed {number} ", end="", file=sys.stderr, flush=True)
+                print(f"\rsearching: seed {number} ", end="", file=sys.stderr, flush=True)
             frames = list(self.episode(number))
             if ends_so(frames, ending):
                 if sys.stderr.isatty():
@@ -294,7 +294,7 @@ def main(
         check_visuals(config.visuals, env.robot)
     policy = load_policies(files, env, config.any_env, other_people=True)
     if otherwise := trained_otherwise(policy, env):
-        print(f"Other than in training: {otherwise}.")
+        print(f"Differs from training: {otherwise}.")
     play(config, env, policy)
     return 0
 

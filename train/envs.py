@@ -70,7 +70,7 @@ def refuse_active_human(env: Any, allow_joint_observation: bool) -> None:
         f"In {env.name!r} {listed} act together. One policy for both would let the robot read the "
         f"person's observation, which no real robot can. Train the two side by side with "
         f"agym-jax coop --env-name {env.name}, train against a person who holds still with --env-name "
-        f"{static}, or allow it on purpose with --allow-joint-observation."
+        f"{static}, or allow it explicitly with --allow-joint-observation."
     )
 
 
@@ -82,6 +82,6 @@ def refuse_static_human(env: Any) -> None:
     """
     if len(env.action_sizes) < 2:
         raise ActiveHumanError(
-            f"In {env.name!r} the person holds still, so there is only one to train: "
+            f"In {env.name!r} the person holds still, so there is only one agent to train: "
             f"agym-jax train --env-name {env.name}. Both act in {active_id(env.name)!r}."
         )

@@ -101,7 +101,7 @@ def main(
         env, policy, config.num_episodes, config.seed, deterministic=not config.non_det
     )
     if otherwise := trained_otherwise(policy, env):
-        print(f"Other than in training: {otherwise}.")
+        print(f"Differs from training: {otherwise}.")
     print(result.table(config.by_group))
     if {files.robot, files.human} - {None, *BASELINES}:
         print(SAMPLED if config.non_det else MODE)

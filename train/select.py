@@ -79,8 +79,8 @@ def seed_folders(run: Path) -> dict[int, Path]:
     }
     if not found:
         raise PolicyNotFoundError(
-            f"{run} has no policies of several seeds (looked for {run / 'seed_1' / 'policy.npz'} and the "
-            f"like). agym-jax train --num-seeds 8 makes them; the folder is <save-dir>/<environment>."
+            f"{run} has no policies of several seeds (looked for {run / 'seed_1' / 'policy.npz'} "
+            f"etc.). agym-jax train --num-seeds 8 creates them; the folder is <save-dir>/<environment>."
         )
     return dict(sorted(found.items()))
 
@@ -114,8 +114,8 @@ def check(config: SelectConfig) -> None:
     """
     if config.seed == config.report_seed:
         raise ConfigError(
-            f"--seed and --report-seed are both {config.seed}: a policy must not be reported over the "
-            f"episodes for which it was chosen. Choose another --report-seed."
+            f"--seed and --report-seed are both {config.seed}: a policy must not be reported on the "
+            f"episodes used to choose it. Choose another --report-seed."
         )
     if config.num_episodes < 1:
         raise ConfigError(f"num_episodes must be at least 1, got {config.num_episodes}.")
@@ -166,10 +166,10 @@ def main(
         if (path := seed_folders(run)[scores.best] / name).is_file():
             write_file(run / name, path.read_bytes())  # whole, also if this is killed
     print(scores.table())
-    print(f"Chosen: seed {scores.best}, now {run / FILE_NAMES['robot']}. Over other people:")
+    print(f"Chosen: seed {scores.best}, now {run / FILE_NAMES['robot']}. On other people:")
     print(reported.table())
     if ships or unfit:
-        print(f"The policy that ships, over the same people:\n{ships.table() if ships else unfit}")
+        print(f"The shipped policy, on the same people:\n{ships.table() if ships else unfit}")
     if config.json:
         summary = reported.summary()
         line = record(

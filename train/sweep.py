@@ -85,7 +85,7 @@ def parse_grid(grid: Sequence[str], random: int = 0, seed: int = 0) -> list[Sett
         name, _, values = entry.partition("=")
         name = name.replace("-", "_")
         if name not in SWEPT:
-            raise UnknownNameError("hyper-parameter to sweep", name, SWEPT)
+            raise UnknownNameError("hyperparameter to sweep", name, SWEPT)
         try:
             axes[name] = [float(x) for x in values.split(",")]
         except ValueError:

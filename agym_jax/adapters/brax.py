@@ -56,7 +56,7 @@ def wrap_for_brax_training(
     if randomization_fn is not None:
         raise WrapperError(
             "randomization_fn changes the one model of a Brax environment (DomainRandomizationVmapWrapper); here "
-            "every human has a model of their own, drawn anew in each episode. Leave it out, and say "
+            "each person has their own model, drawn anew in each episode. Leave it out, and specify "
             "what to draw with agym_jax.make(name, humans=Population(sizes='continuous'), robot=RobotVariation(...))."
         )
     return BraxTrainingEnv(env, episode_length, action_repeat, bootstrap_on_timeout)
@@ -92,7 +92,7 @@ class BraxTrainingEnv(Wrapper):
         if isinstance(env, (Wrapper, VectorEnv)):
             raise WrapperError(
                 f"wrap_for_brax_training takes one environment as agym_jax.make returns it, got a "
-                f"{type(env).__name__}, which is a wrapper already. Pass what it wraps."
+                f"{type(env).__name__}, which is already a wrapper. Pass the environment inside it."
             )
         if getattr(env, "impl", None) == "native":
             raise WrapperError(
@@ -106,8 +106,8 @@ class BraxTrainingEnv(Wrapper):
         self._sized: dict[int, Any] = {}
         if action_repeat < 1 or self.episode_length < 1 or self.episode_length % action_repeat:
             raise WrapperError(
-                f"An episode of {self.episode_length} steps cannot be made of actions that are held for "
-                f"{action_repeat}. Choose an episode_length (at most {env.episode_length}) that is a "
+                f"An episode of {self.episode_length} steps cannot be divided into actions held for "
+                f"{action_repeat} steps. Choose an episode_length (at most {env.episode_length}) that is a "
                 f"multiple of action_repeat."
             )
 

@@ -48,7 +48,7 @@ def refuse_fork() -> None:
     """
     if _Process.pid not in (None, os.getpid()):
         raise ForkedProcessError(
-            "JAX does not work in a forked process, as those of gymnasium.make_vec(id, vectorization_mode='async') are. Use "
+            "JAX does not work in forked processes, such as those of gymnasium.make_vec(id, vectorization_mode='async'). Use "
             "gymnasium.make_vec(id, num_envs=64), which steps all environments together in threads and is faster; or new "
             "processes: make_vec(id, vectorization_mode='async', vector_kwargs={'context': 'spawn'})."
         )
@@ -184,7 +184,7 @@ def begun(env: agym_jax.Env, state: Any) -> Any:
 def refuse_options(env: agym_jax.Env, options: dict[str, Any] | None) -> None:
     """Raise AgymError if any reset options are given."""
     if options:
-        raise AgymError(f"{env.name} knows no reset options, got: {', '.join(options)}.")
+        raise AgymError(f"{env.name} has no reset options, got: {', '.join(options)}.")
 
 
 class View(NamedTuple):

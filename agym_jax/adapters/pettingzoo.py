@@ -120,8 +120,8 @@ class PettingZooEnv(ParallelEnv):
             raise ResetNeeded(f"{self.core.name}: call reset() to begin an episode.")
         if set(actions) != set(self.agents):
             raise ActionError(
-                f"{self.core.name} takes an action of each of {', '.join(self.agents)}, got those "
-                f"of: {', '.join(map(str, actions)) or 'nobody'}."
+                f"{self.core.name} takes an action from each of {', '.join(self.agents)}, got "
+                f"actions from: {', '.join(map(str, actions)) or 'nobody'}."
             )
         for agent, space in self.action_spaces.items():
             if np.shape(actions[agent]) != space.shape:

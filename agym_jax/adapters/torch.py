@@ -33,8 +33,8 @@ try:
     import torch
 except ImportError as error:
     raise MissingExtraError(
-        'PyTorch is not installed: pip install "agym_jax[torch]". Without it, gymnasium.make_vec has NumPy\'s arrays, and '
-        "agym_jax.wrappers.vectorize JAX's."
+        'PyTorch is not installed: pip install "agym_jax[torch]". Without it, use gymnasium.make_vec (NumPy arrays) or '
+        "agym_jax.wrappers.vectorize (JAX arrays)."
     ) from error
 
 
@@ -68,7 +68,7 @@ class TorchVectorEnv:
         elif settings or impl != "auto":
             given = ", ".join([*settings, *(["impl"] if impl != "auto" else [])])
             raise ArgumentError(
-                f"{given}: settings belong to agym_jax.make, which this environment is from."
+                f"{given}: pass settings to agym_jax.make, which made this environment."
             )
         self.envs = vectorize(env, num_envs)
         self.num_envs = self.envs.num_envs

@@ -43,12 +43,12 @@ BROKEN = (
 def _unpack(content: bytes) -> dict[str, np.ndarray]:
     """The arrays in a file's bytes; raises one of ``BROKEN`` if they are no ``.npz``."""
     if not content.startswith(b"PK") or not zipfile.is_zipfile(io.BytesIO(content)):
-        raise ValueError("it is no .npz file")
+        raise ValueError("it is not an .npz file")
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
         arrays = {name: _entry(archive, name) for name in archive.files}
     for name, array in arrays.items():
         if not isinstance(array, np.ndarray):  # NumPy hands out the bytes of what is no array
-            raise ValueError(f"{name} is no array")
+            raise ValueError(f"{name} is not an array")
     return arrays
 
 
@@ -59,7 +59,7 @@ def _entry(archive: Any, name: str) -> np.ndarray:
     except ValueError as error:
         if "pickle" not in str(error):
             raise
-        raise ValueError(f"{name} is no array of numbers") from None
+        raise ValueError(f"{name} is not an array of numbers") from None
 
 
 # -- assets ------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from agym_jax.policy.agents import BASELINES, AnyPolicy, Pair, parts
 from agym_jax.policy.policy import Policy, read_policy
 from agym_jax.registry import active_id, static_id
 
-MOVES = {"robot": "the robot", "human": "the person", "joint": "robot and person at once"}
+MOVES = {"robot": "the robot", "human": "the person", "joint": "robot and person together"}
 FLAGS = {
     "robot": "--policy, and a --human-policy (a file, zero or random) where the person acts too",
     "human": "--human-policy, and an id whose person acts (...Human-v0)",
@@ -80,7 +80,7 @@ def check_policy(
     if whose != agent:
         raise PolicyEnvironmentError(
             f"{path} moves {MOVES[whose]} of {trained_in!r}, not {MOVES[agent]} of {env.name!r}. "
-            f"It goes with {FLAGS[whose]}."
+            f"Use it with {FLAGS[whose]}."
         )
     fitting = {
         "robot": (static_id(env.name), active_id(env.name)),
@@ -89,7 +89,7 @@ def check_policy(
     }[agent]
     if trained_in not in fitting and not any_env:
         raise PolicyEnvironmentError(
-            f"{path} was trained in {trained_in!r}, not in {env.name!r}. What fits was trained in "
+            f"{path} was trained in {trained_in!r}, not in {env.name!r}. A policy that fits was trained in "
             f"{' or '.join(map(repr, fitting))}. Use --env-name {trained_in}, or train one: "
             f"{train_command(env.name)}"
         )
@@ -100,8 +100,8 @@ def check_policy(
         flags = flags_of(theirs_changed)
         remedy = f"Make the environment as it was there ({flags})" if flags else "Leave them out"
         raise PolicyEnvironmentError(
-            f"{path} was trained in {trained_in!r} with other settings: {differ}. {remedy}. To run the policy here all "
-            f"the same: agym-jax evaluate, enjoy or view with --any-env, or load_policy without env."
+            f"{path} was trained in {trained_in!r} with other settings: {differ}. {remedy}. To run the policy here "
+            f"anyway: agym-jax evaluate, enjoy or view with --any-env, or load_policy without env."
         )
     layout = policy.info.get("layout")
     if layout not in (part.layout, part.former_layout):

@@ -96,7 +96,7 @@ def choose_policy(
         ArgumentError: if a baseline is requested, which has no file.
     """
     if policy in BASELINES:
-        raise ArgumentError(f"{policy!r} is no policy that could be written. Name a file with --policy.")  # fmt: skip
+        raise ArgumentError(f"{policy!r} is not a policy that can be exported. Name a file with --policy.")  # fmt: skip
     plain = env_id.rpartition(":")[2]
     if agent in ("human", "joint") and plain == static_id(plain):
         raise PolicyEnvironmentError(

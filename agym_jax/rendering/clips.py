@@ -86,9 +86,9 @@ def write_clip(frames: Sequence[np.ndarray], path: str | os.PathLike[str], fps: 
         The path.
 
     Raises:
-        OutputPathError: unknown suffix or unwritable folder.
-        MissingExtraError: the package that this suffix needs is not installed.
-        FrameError: no frames, or not of one size.
+        OutputPathError: if the suffix is unknown or the folder is not writable.
+        MissingExtraError: if the package required for this suffix is not installed.
+        FrameError: if there are no frames, or their sizes differ.
     """
     path = _check_path(path, (".gif", ".mp4"))
     frames = _check_frames(frames)

@@ -1,4 +1,4 @@
-"""How finely OpenGL draws: on a CPU a small picture would cost as much as a large one otherwise."""
+"""OpenGL rendering quality, adapted to the image size: otherwise a small image would cost as much as a large one on a CPU."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ from typing import NamedTuple
 import mujoco
 
 FULL_SIZE = 640
-"""Longest side of a picture from which on everything is drawn as finely as the model says [pixels]."""
+"""Longest side of an image from which everything is drawn in the quality given by the model [pixels]."""
 MIN_SHADOW_SIZE, MIN_SAMPLES, MIN_SLICES, MIN_STACKS = 256, 4, 12, 8
 
 
 class Quality(NamedTuple):
-    """How finely OpenGL draws; names and meaning are those of ``MjModel.vis.quality``."""
+    """OpenGL rendering quality; names and meaning are those of ``MjModel.vis.quality``."""
 
     shadowsize: int
     """Side of the shadow map [pixels]."""
     offsamples: int
-    """Samples of a pixel."""
+    """Samples per pixel."""
     numslices: int
-    """Around a round geom."""
+    """Slices around a round geom."""
     numstacks: int
-    """Along a round geom."""
+    """Stacks along a round geom."""
 
 
 def quality_for(full: Quality, width: int, height: int) -> Quality:
-    """As fine as a picture can show: on a CPU, a finer one costs as much as a large picture.
+    """Return the highest quality visible at an image size; on a CPU, more would make it as costly as a large image.
 
-    The shadow map and the samples shrink with the picture's longest side. A circle of n slices is off by
-    1 / n^2 of its radius, so slices and stacks shrink with the root.
+    The shadow map and the samples shrink with the image's longest side. A circle of n slices deviates by
+    1 / n^2 of its radius, so slices and stacks shrink with the square root.
 
     Args:
-        full: of pictures of ``FULL_SIZE`` and more; no picture gets more than that.
-        width: of the picture [pixels].
-        height: of the picture [pixels].
+        full: quality of images of ``FULL_SIZE`` or more; no image gets more than that.
+        width: image width [pixels].
+        height: image height [pixels].
     """
     share = min(1.0, max(width, height) / FULL_SIZE)
     return Quality(
@@ -51,12 +51,12 @@ def _power_of_two(at_least: float) -> int:
 
 
 def with_quality(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
-    """The model, or a copy of it that OpenGL draws as finely as a picture can show.
+    """Return the model, or a copy of it with the quality that is visible at an image size.
 
     Args:
-        model: with the quality of large pictures; it is not written.
-        width: of the picture [pixels].
-        height: of the picture [pixels].
+        model: model with the quality of large images; it is not modified.
+        width: image width [pixels].
+        height: image height [pixels].
     """
     full = Quality(*(getattr(model.vis.quality, name) for name in Quality._fields))
     wanted = quality_for(full, width, height)

@@ -132,10 +132,10 @@ def _open_library(name: str, width: int, height: int) -> Any:
 
 
 def _open_context(width: int, height: int) -> tuple[Any, str]:
-    """The first OpenGL context that opens, and the name of its library.
+    """Open the first OpenGL context that works; return it and the name of its library.
 
     Raises:
-        RenderBackendError: none opened; the message has the reason for each.
+        RenderBackendError: if none could be opened; the message gives the reason for each.
     """
     if _Process.gl_failed:
         raise RenderBackendError(_Process.gl_failed)
@@ -212,10 +212,10 @@ class _RaycastBackend:
 
 
 def check_backend(name: str) -> None:
-    """Refuse a backend that does not exist.
+    """Reject a backend that does not exist.
 
     Raises:
-        RenderBackendError: the message has the nearest.
+        RenderBackendError: if there is no such backend; the message suggests the closest match.
     """
     if name not in BACKENDS:
         near = did_you_mean(name, BACKENDS)
@@ -263,9 +263,9 @@ class Renderer:
             environment variable AGYM_JAX_RENDER overrides this.
 
     Raises:
-        UnknownCameraError: the model has no such camera.
-        RenderBackendError: unknown backend, or "gl" is not available.
-        ArgumentError: a picture without pixels.
+        UnknownCameraError: if the model has no such camera.
+        RenderBackendError: if the backend is unknown, or "gl" is not available.
+        ArgumentError: if the width or height is not positive.
     """
 
     def __init__(
@@ -310,7 +310,7 @@ class Renderer:
         return self._backend.draw(data, self._view, markers)
 
     def close(self) -> None:
-        """Free the OpenGL context. May be called more than once."""
+        """Free the OpenGL context. This may be called more than once."""
         self._free()
 
     def __enter__(self) -> Renderer:
@@ -321,14 +321,14 @@ class Renderer:
 
 
 def camera_of(model: mujoco.MjModel, camera: str | int) -> mujoco.MjvCamera:
-    """MuJoCo's camera of a name or id.
+    """Return the MuJoCo camera with a given name or id.
 
     Args:
-        model: that has it.
-        camera: its name, or its number, which may be written as text; -1 is a free camera.
+        model: model that has the camera.
+        camera: name of the camera, or its number, which may be given as text; -1 is a free camera.
 
     Raises:
-        UnknownCameraError: the model has no such camera.
+        UnknownCameraError: if the model has no such camera.
     """
     names = [model.camera(i).name for i in range(model.ncam)]
     if isinstance(camera, str) and camera not in names and camera.lstrip("-").isdigit():

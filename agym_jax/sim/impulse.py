@@ -134,7 +134,7 @@ def watch(physics: Physics) -> Iterator[Account]:
     """
     if not isinstance(physics, NativePhysics):
         raise ImplementationError(
-            "Only C MuJoCo keeps account: build the environment with impl='native'."
+            "Impulses are recorded with C MuJoCo only: build the environment with impl='native'."
         )
     motors = physics.controller.motors
     account = Account(motors, float(physics.model.dof_frictionloss[motors.dofs].max()))

@@ -132,7 +132,7 @@ def check_traceable(physics: Physics, *values: Any) -> None:
     """
     if not physics.traceable and any(isinstance(value, jax.core.Tracer) for value in values):
         raise ImplementationError(
-            "C MuJoCo (impl='native') cannot be traced by jax.jit or jax.vmap; its pieces are compiled already. Call "
-            "reset and step as they are, and for many environments those of agym_jax.wrappers.vectorize(env, "
-            "num_envs). To compile a step into a program of your own, make the environment with impl='jax' or 'warp'."
+            "C MuJoCo (impl='native') cannot be traced by jax.jit or jax.vmap; its parts are already compiled. Call "
+            "reset and step directly; for many environments, use those of agym_jax.wrappers.vectorize(env, "
+            "num_envs). To compile a step into your own program, make the environment with impl='jax' or 'warp'."
         )

@@ -70,13 +70,15 @@ def check(config: ViewConfig) -> None:
     check_visuals(config.visuals, recipe.robot)
     checked_count("--grid", config.grid)
     if config.grid > MOST:
-        raise ArgumentError(f"--grid {config.grid} is more than a browser draws; at most {MOST}.")
+        raise ArgumentError(
+            f"--grid {config.grid} is more than a browser can draw; use at most {MOST}."
+        )
     if not 0 <= config.seed < 2**31:
         raise ArgumentError(f"--seed must be from 0 to 2147483647, got {config.seed}.")
     if config.steps is not None:
         checked_count("--steps", config.steps)
         if config.export is None:
-            raise ArgumentError("--steps goes with --export PAGE.")
+            raise ArgumentError("--steps requires --export PAGE.")
     if config.export is None:
         check_port(config.host, config.port)
         return
@@ -92,7 +94,7 @@ def check_port(host: str, port: int) -> None:
         ArgumentError: if it is in use, or there is no such port or address.
     """
     if not 0 <= port < 2**16:
-        raise ArgumentError(f"--port must be from 0 to 65535 (0: any that is free), got {port}.")
+        raise ArgumentError(f"--port must be from 0 to 65535 (0: any free port), got {port}.")
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -100,7 +102,7 @@ def check_port(host: str, port: int) -> None:
         except OSError as error:
             raise ArgumentError(
                 f"Cannot serve at {host}:{port} ({error.strerror}). Another viewer may run there: choose another port, "
-                f"such as --port {port + 1}, or --port 0 for any that is free."
+                f"such as --port {port + 1}, or --port 0 for any free port."
             ) from error
 
 
@@ -145,7 +147,7 @@ def run(config: ViewConfig) -> None:
     env = agym_jax.make(config.env_name, impl="native", **{**trained, **config.options()})
     policy = load_policies(files, env, config.any_env, other_people=True) if files else None
     if policy and (otherwise := trained_otherwise(policy, env)):
-        say(f"Other than in training: {otherwise}.")
+        say(f"Differs from training: {otherwise}.")
     server = open_server(env.name, config.host, 0 if config.export else config.port)
     try:
         picture = Picture(server)
@@ -162,7 +164,7 @@ def begin(config: ViewConfig, env: Any, policy: AnyPolicy | None, say: Say) -> S
     from agym_jax.viewer.drive import Driver
     from agym_jax.viewer.stage import Stage
 
-    say("Preparing the first episode; what was never shown here is compiled first.")
+    say("Preparing the first episode; anything not shown before is compiled first.")
     driver = Driver(env, policy, deterministic=not config.non_det)
     stage = Stage(env, driver, config.grid, config.visuals)
     stage.begin(config.seed)
@@ -193,7 +195,7 @@ def serve(
     picture.show([place], moment)
     picture.aim("front", PANEL)
     note = server.gui.add_markdown("Preparing the first episode ...")
-    say(f"Serving at http://{config.host}:{server.get_port()} (Ctrl+C ends it).")
+    say(f"Serving at http://{config.host}:{server.get_port()} (Ctrl+C to stop).")
     stage = begin(config, env, policy, say)
     note.remove()
     page = Page(stage, picture)
@@ -230,7 +232,7 @@ def policy_files(config: ViewConfig, say: Say) -> PolicyFiles | None:
     if recipe.active:
         with contextlib.suppress(PolicyNotFoundError):
             files = PolicyFiles(find_policies(still).robot, "zero")
-            say(f"No policies are shipped for {name}: the robot's is that of {still}, the person does nothing.")  # fmt: skip
+            say(f"No policies are shipped for {name}: the robot uses that of {still}, and the person does nothing.")  # fmt: skip
             return files
     say(f"No policy is shipped for {name}: nobody acts until you choose who drives.")
     return None

@@ -163,7 +163,7 @@ class Stage:
             RuntimeError: nothing has begun.
         """
         if self._drawn is None:
-            raise RuntimeError("Nothing has begun.")
+            raise RuntimeError("No episode has begun.")
         return self._drawn
 
     def moment(self) -> Moment:

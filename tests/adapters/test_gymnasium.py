@@ -230,7 +230,7 @@ def test_what_has_not_begun_can_be_copied():
 
 @pytest.mark.jit
 def test_options_are_refused(env: gymnasium.Env):
-    with pytest.raises(AgymError, match="knows no reset options, got: gender"):
+    with pytest.raises(AgymError, match="has no reset options, got: gender"):
         env.unwrapped.reset(options={"gender": "male"})
 
 

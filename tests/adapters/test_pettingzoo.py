@@ -89,9 +89,9 @@ def test_a_picture(env, raycast):
 def test_wrong_actions_are_refused_by_name(env):
     env.reset(seed=1)
     actions = still(env)
-    with pytest.raises(ActionError, match="each of robot, human, got those of: robot"):
+    with pytest.raises(ActionError, match="each of robot, human, got actions from: robot"):
         env.step({"robot": actions["robot"]})
-    with pytest.raises(ActionError, match="got those of: robot, human, dog"):
+    with pytest.raises(ActionError, match="got actions from: robot, human, dog"):
         env.step({**actions, "dog": actions["robot"]})
     with pytest.raises(ActionError, match=rf"The human of {NAME} takes .*\(10,\), got \(7,\)"):
         env.step({**actions, "human": actions["robot"]})

@@ -162,7 +162,7 @@ def test_what_does_not_exist_is_refused(arguments, error, told):
 
 
 def test_settings_belong_to_make(core):
-    with pytest.raises(e.ArgumentError, match=r"humans, impl: settings belong to agym_jax\.make"):
+    with pytest.raises(e.ArgumentError, match=r"humans, impl: pass settings to agym_jax\.make"):
         TorchVectorEnv(core, 2, impl="jax", humans=None)
     with pytest.raises(e.ArgumentError, match="Population"):
         TorchVectorEnv(NAME, 2, humans="children")

@@ -96,7 +96,11 @@ def test_a_bank_of_another_arm_is_stale(own: Path):
 
 @pytest.mark.parametrize(
     ("content", "why"),
-    [(b"", "no .npz file"), (b"not a bank", "no .npz file"), (b"\x93NUMPY", "no .npz file")],
+    [
+        (b"", "not an .npz file"),
+        (b"not a bank", "not an .npz file"),
+        (b"\x93NUMPY", "not an .npz file"),
+    ],
 )
 def test_a_file_that_is_no_bank_is_damaged(own: Path, content: bytes, why: str):
     write(own).write_bytes(content)

@@ -51,7 +51,7 @@ def test_what_was_written_comes_back_with_its_history(tmp_path: Path):
         ({"scale": np.ones(1)}, r"scale has the shape \(1,\), not \(\)"),
         ({"scale": np.float32(np.inf)}, "scale has entries that are no finite numbers"),
         ({"size": np.array(["a", "b"])}, "size has entries that are no finite numbers"),
-        ({"size": np.array([{}, {}])}, "size is no array of numbers"),
+        ({"size": np.array([{}, {}])}, "size is not an array of numbers"),
     ],
 )
 def test_the_array_that_is_wrong_is_named(tmp_path: Path, changes: dict, why: str):
@@ -66,7 +66,7 @@ def test_a_file_that_is_missing_or_none_of_ours_is_named(tmp_path: Path):
         read(tmp_path / "x.npz")
     for content in (b"", b"PK not a zip", b"\x93NUMPY"):
         (tmp_path / "x.npz").write_bytes(content)
-        with pytest.raises(BankError, match=r"it is no \.npz file"):
+        with pytest.raises(BankError, match=r"it is not an \.npz file"):
             read(tmp_path / "x.npz")
 
 
@@ -101,7 +101,7 @@ def test_a_member_that_is_no_array_is_refused(tmp_path: Path):
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr("pos.npy", b"no array")
     (tmp_path / "x.npz").write_bytes(buffer.getvalue())
-    with pytest.raises(BankError, match="damaged: pos is no array"):
+    with pytest.raises(BankError, match="damaged: pos is not an array"):
         read(tmp_path / "x.npz")
 
 

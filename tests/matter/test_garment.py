@@ -149,7 +149,7 @@ def test_garment_is_loaded_when_the_scene_is_built(tmp_path: Path):
     assert not {"gown", "spec", "watched"} & set(vars(good))
     check_task(good)
     assert {"gown", "spec", "watched"} <= set(vars(good))
-    with pytest.raises(GarmentError, match="does not say cuff"):
+    with pytest.raises(GarmentError, match="does not specify cuff"):
         compose(Dressing(garment=str(write_obj(tmp_path, SQUARE, cuff=None))), ROBOTS["Jaco"])
     with pytest.raises(MissingAssetError):
         compose(Dressing(garment=str(tmp_path / "yours.toml")), ROBOTS["Jaco"])
@@ -167,7 +167,7 @@ def test_invalid_npz_names_what_is_missing(tmp_path: Path):
     with pytest.raises(GarmentError, match=r"a\.npz is damaged: it has no cuff"):
         load(str(tmp_path / "a.npz"))
     (tmp_path / "b.npz").write_bytes(b"not a garment")
-    with pytest.raises(GarmentError, match=r"b\.npz is damaged: it is no \.npz file"):
+    with pytest.raises(GarmentError, match=r"b\.npz is damaged: it is not an \.npz file"):
         load(str(tmp_path / "b.npz"))
 
 
@@ -225,7 +225,7 @@ def test_invalid_garments_are_refused_with_the_location(what: str):
 
 def test_invalid_descriptions_are_refused(tmp_path: Path):
     for changes, message in (
-        ({"cuff": None}, "does not say cuff"),
+        ({"cuff": None}, "does not specify cuff"),
         ({"cufff": [0]}, "'cufff'.*cuff"),
         ({"cuff": [5]}, "vertex 5 lies on 0 edges"),
     ):

@@ -301,7 +301,7 @@ def test_a_robot_can_start_from_what_it_learned_with_a_person_who_holds_still(tm
 def test_someone_has_to_learn_and_a_frozen_agent_needs_a_policy():
     with pytest.raises(ConfigError, match=r"--freeze-human keeps .* needs --human-policy FILE"):
         CoopConfig(freeze_human=True)
-    with pytest.raises(ConfigError, match=r"leaves nobody to learn.*agym-jax evaluate"):
+    with pytest.raises(ConfigError, match=r"leaves nothing to train.*agym-jax evaluate"):
         CoopConfig(robot_policy="r", human_policy="p", freeze_robot=True, freeze_human=True)
 
 
@@ -321,11 +321,15 @@ def test_one_trainer_does_not_continue_a_run_of_the_other(trained, tmp_path):
         save_dir=str(result.folder.parent),
         allow_joint_observation=True,
     )
-    with pytest.raises(CheckpointMismatchError, match=r"train\.coop, this is train\.ppo.*--fresh"):
+    with pytest.raises(
+        CheckpointMismatchError, match=r"train\.coop, but this is train\.ppo.*--fresh"
+    ):
         ppo.train(FakePairEnv(), joint)
     assert len(checkpoint_files(result.folder / "checkpoints")) == 3
     ppo.train(FakePairEnv(), dataclasses.replace(joint, save_dir=str(tmp_path)))
-    with pytest.raises(CheckpointMismatchError, match=r"train\.ppo, this is train\.coop.*--fresh"):
+    with pytest.raises(
+        CheckpointMismatchError, match=r"train\.ppo, but this is train\.coop.*--fresh"
+    ):
         coop.train(FakePairEnv(), dataclasses.replace(SMALL, save_dir=str(tmp_path)))
 
 

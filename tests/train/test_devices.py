@@ -276,7 +276,9 @@ def test_training_on_two_devices_is_as_good_as_on_one():
     assert found["rows"] == [640 * 8, 640 * 16, 640 * 24]
     too_many, odd = found["refused"]
     assert "--devices 3 were asked for; JAX sees 2 (cpu)" in too_many
-    assert "33 environments cannot be shared by 2 devices" in odd and "--num-envs 32" in odd
+    assert (
+        "33 environments cannot be divided evenly among 2 devices" in odd and "--num-envs 32" in odd
+    )
 
 
 @pytest.mark.slow

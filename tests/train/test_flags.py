@@ -127,10 +127,10 @@ def test_a_run_of_other_settings_is_not_continued(tmp_path, capsys, restored_set
     longer, same = tmp_path / "longer.jsonl", tmp_path / "same.jsonl"
     assert evaluate.main([*measure, "--json", str(longer)], make) == 0
     said = "episode_length is 10 in training, the default here"
-    assert f"Other than in training: {said}." in capsys.readouterr().out
+    assert f"Differs from training: {said}." in capsys.readouterr().out
     assert json.loads(longer.read_text())["other_than_in_training"] == said
     assert evaluate.main([*measure, "--episode-length", "10", "--json", str(same)], make) == 0
-    assert "Other than in training" not in capsys.readouterr().out
+    assert "Differs from training" not in capsys.readouterr().out
     line = json.loads(same.read_text())
     assert line["changes"] == {"episode_length": 10} and "other_than_in_training" not in line
 

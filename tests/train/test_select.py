@@ -106,7 +106,7 @@ def test_the_chosen_seed_is_reported_over_other_episodes_and_ready_for_use(runs,
     assert chosen.info["seed"] == line["chosen"]
     assert f"Chosen: seed {line['chosen']}" in capsys.readouterr().out
     assert select.main([str(long), "--seed", "1001"], make) == 2
-    assert "must not be reported over the episodes" in capsys.readouterr().err
+    assert "must not be reported on the episodes" in capsys.readouterr().err
 
 
 def test_a_run_without_seeds_is_refused(tmp_path, capsys):

@@ -215,7 +215,7 @@ def test_the_share_of_the_whole(tmp_path):
 def test_gpus(monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,6,7")
     assert children.visible_gpus() == ["4", "6", "7"] and children.visible_gpus(2) == ["4", "6"]
-    with pytest.raises(ConfigError, match="--gpus 4 were asked for; there are 3"):
+    with pytest.raises(ConfigError, match="--gpus 4 requested, but there are only 3"):
         children.visible_gpus(4)
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
     monkeypatch.setattr(children, "_all_gpus", lambda: ["0", "1"])

@@ -213,7 +213,7 @@ def test_settings_are_the_policys_where_nothing_else_is_asked_for(tmp_path, monk
     assert "in training" not in capsys.readouterr().out
     env = shown(monkeypatch, *words, "--humans.impairments", "tremor")
     assert env.changes == {"episode_length": 50, "humans.impairments": ["tremor"]}
-    said = "Other than in training: humans.impairments is the default in training, ['tremor'] here."
+    said = "Differs from training: humans.impairments is the default in training, ['tremor'] here."
     assert said in capsys.readouterr().out
 
 
@@ -234,7 +234,7 @@ BAD = {
     "no people": ([ID, "--grid", "0"], "--grid must be a whole number of at least 1"),
     "too many": ([ID, "--grid", "1000"], "at most 64"),
     "not a page": ([ID, "--export", "page.gif"], "must end in .html"),
-    "steps without a page": ([ID, "--steps", "5", "--port", "0"], "--steps goes with --export"),
+    "steps without a page": ([ID, "--steps", "5", "--port", "0"], "--steps requires --export"),
     "no steps": ([ID, "--export", "page.html", "--steps", "0"], "--steps must be"),
     "no such port": ([ID, "--port", "70000"], "--port must be from 0 to 65535"),
     "no such address": ([ID, "--host", "999.1.1.1", "--port", "0"], "Cannot serve at"),
@@ -266,7 +266,7 @@ def test_a_port_that_is_in_use_is_told_with_another(capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("ScratchItchSawyerHuman-v0", "the robot's is that of ScratchItchSawyer-v0, the person does nothing"),
+        ("ScratchItchSawyerHuman-v0", "the robot uses that of ScratchItchSawyer-v0, and the person does nothing"),
         (unshipped(), f"No policy is shipped for {unshipped()}: nobody acts"),
     ],
 )  # fmt: skip

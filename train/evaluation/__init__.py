@@ -1,1 +1,1 @@
-"""Measuring policies: episodes, scores and who acts."""
+"""Evaluation of policies: running episodes, scores and statistics."""

@@ -1,7 +1,7 @@
-"""Running episodes with a policy and summing what they score: one loop for every implementation of the physics.
+"""Running episodes with a policy and summing their scores: one loop for every physics implementation.
 
-All episodes run side by side in one compiled program, or step by step where the environment is compiled
-(``StepwiseEnv``). On C MuJoCo (``impl="native"``) they run step by step, some at a time, each from a key of its own.
+All episodes run in parallel in one compiled program, or step by step if the environment is compiled separately
+(``StepwiseEnv``). On C MuJoCo (``impl="native"``) they run step by step, in batches, each with its own key.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Watch = Callable[[Any], None]
 
 
 AT_ONCE = 64
-"""Episodes that C MuJoCo runs side by side."""
+"""Number of episodes that C MuJoCo runs in parallel."""
 
 
 def run_episodes(
@@ -38,15 +38,15 @@ def run_episodes(
     execution: Execution,
     watch: Watch | None = None,
 ) -> dict[str, jax.Array]:
-    """Sums over the first episode of each environment, and who its person was.
+    """Run the first episode of each environment; return sums over its steps, and its person.
 
     Args:
-        venv: environments, as a batch.
+        venv: batch of environments.
         act: (observation, key) -> action.
-        key: decides the episodes, and what a policy samples (2,); or that of each environment (B, 2).
-        episode_length: control steps.
+        key: determines the episodes and the policy's samples (2,); or one key for each environment (B, 2).
+        episode_length: control steps per episode.
         execution: how the loop runs.
-        watch: is shown the state of all environments, before the first step and after each; from Python only.
+        watch: called with the state of all environments before the first step and after each step; from Python only.
     """
     key_reset, key_steps = split_keys(key)
     add = execution.compile(add_step)
@@ -68,12 +68,12 @@ def run_episodes(
 
 
 class Evaluator:
-    """Runs a fixed number of episodes; compiles once for all policies of one architecture.
+    """Runs a fixed number of episodes; compiles only once for all policies with the same architecture.
 
     Args:
         env: an environment (``agym_jax.make``), or a ``StepwiseEnv``.
-        num_episodes: how many.
-        at_once: how many side by side, on C MuJoCo.
+        num_episodes: number of episodes.
+        at_once: number of episodes run in parallel on C MuJoCo.
     """
 
     def __init__(self, env: Any, num_episodes: int, at_once: int = AT_ONCE) -> None:
@@ -97,8 +97,8 @@ class Evaluator:
         Args:
             policy: a ``Policy``, a ``Pair`` of them, or a function
                 ``(obs, key, deterministic) -> action``.
-            key: decides the episodes (and the samples of a policy that is not deterministic).
-            deterministic: take the mode of the policy's distribution.
+            key: determines the episodes (and the samples of a policy that is not deterministic).
+            deterministic: act by the mode of the policy's distribution.
             watch: see ``run_episodes``; with a ``StepwiseEnv``.
         """
         start = time.perf_counter()
@@ -116,7 +116,7 @@ class Evaluator:
     def _from_python(
         self, policy: AnyPolicy, key: jax.Array, deterministic: bool, watch: Watch | None
     ) -> dict[str, np.ndarray]:
-        """Episodes of a batch at once, those of C MuJoCo batch by batch."""
+        """Run the episodes in a single batch, or on C MuJoCo batch by batch."""
         act = lambda obs, key: policy(obs, key, deterministic)  # noqa: E731
         length = self.env.episode_length
         if not self._native:

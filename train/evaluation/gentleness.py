@@ -1,6 +1,6 @@
-"""How gently a person was touched in an evaluation: peaks by region of the body, and steps above limits.
+"""How gently people were touched in an evaluation: peak forces by region of the body, and steps above limits.
 
-What counts, and the limits, are in ``agym_jax.human.regions``.
+``agym_jax.human.regions`` defines the limits and the forces that count.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from agym_jax.human.regions import NAMES
 from ..learning.rollout import COMFORT_KEY, LIMIT_KEY, PEAK_KEY
 
 PEAK, REGION_PEAKS = MAXIMA = "peak", "region_peaks"
-"""Of the sums: those that are maxima."""
+"""Names of those sums that are maxima."""
 OVER_COMFORT, OVER_LIMIT = "over_comfort", "over_limit"
 HIGH = 0.99
-"""Quantile of the episodes that stands for the hardest; a maximum would grow with their number."""
+"""Quantile of the episodes used instead of the maximum, which would grow with their number."""
 
 
 @dataclass(frozen=True)
 class Gentleness:
-    """Forces on the person; arrays have one entry an episode.
+    """Forces on the person; arrays have one entry per episode.
 
     Attributes:
         peaks: largest force on one region of the body in a physics step [N]    (episodes,).
-        over_comfort: steps above the comfort limit of a region    (episodes,).
-        over_limit: steps above an ISO limit of a region    (episodes,).
-        lengths: steps    (episodes,).
-        region_peaks: as ``peaks``, of each region; None where the environment does not tell    (episodes, regions).
-        comfort: comfort limit of each region [N]; None where the environment does not tell    (regions,).
+        over_comfort: number of steps above the comfort limit of a region    (episodes,).
+        over_limit: number of steps above an ISO limit of a region    (episodes,).
+        lengths: number of steps    (episodes,).
+        region_peaks: peaks of each region; None if the environment does not report them    (episodes, regions).
+        comfort: comfort limit of each region [N]; None if the environment does not report them    (regions,).
     """
 
     peaks: np.ndarray
@@ -51,12 +51,12 @@ class Gentleness:
 
     @property
     def share_over_comfort(self) -> float:
-        """Share of all steps above the comfort limit."""
+        """Fraction of all steps above the comfort limit."""
         return float(self.over_comfort.sum() / max(1, self.lengths.sum()))
 
     @property
     def share_over_limit(self) -> float:
-        """Share of all steps above an ISO limit."""
+        """Fraction of all steps above an ISO limit."""
         return float(self.over_limit.sum() / max(1, self.lengths.sum()))
 
     @property
@@ -67,21 +67,21 @@ class Gentleness:
 
     @property
     def worst_region(self) -> str | None:
-        """The region whose peaks (99 % of the episodes) are highest above its comfort limit; None if none is touched."""
+        """The region whose peaks (99 % quantile) are highest relative to its comfort limit; None if none is touched."""
         if self.region_peaks is None or self.comfort is None:
             return None
         shares = np.quantile(self.region_peaks, HIGH, axis=0) / self.comfort
         return NAMES[int(shares.argmax())] if shares.max() > 0 else None
 
     def of_region(self, name: str) -> tuple[float, float]:
-        """99 % quantile of a region's peaks [N], and the share of episodes in which its comfort limit was exceeded."""
+        """Return the 99 % quantile of a region's peaks [N], and the fraction of episodes that exceed its comfort limit."""
         assert self.region_peaks is not None and self.comfort is not None
         i = NAMES.index(name)
         peaks = self.region_peaks[:, i]
         return float(np.quantile(peaks, HIGH)), float(np.mean(peaks > self.comfort[i]))
 
     def rows(self) -> list[tuple[str, str]]:
-        """Lines of a table: name, value."""
+        """Return rows of a table: name, value."""
         median, high = self.peak_quantiles
         rows = [
             ("peak force [N]", f"{median:9.2f}   median of the episodes; 99 % below {high:.2f}"),
@@ -97,7 +97,7 @@ class Gentleness:
         return rows
 
     def summary(self) -> dict[str, Any]:
-        """The same for a JSON line."""
+        """Return the same as fields of a JSON line."""
         median, high = self.peak_quantiles
         found: dict[str, Any] = {
             "peak_median": median,
@@ -114,7 +114,7 @@ class Gentleness:
 
 
 def zero_gentleness(state: Any, num_envs: int) -> dict[str, jax.Array]:
-    """What ``gentleness_gains`` is added to, or the largest of; empty where environments do not measure it."""
+    """Return initial sums and maxima for ``gentleness_gains``; empty if environments do not measure it."""
     if COMFORT_KEY not in state.metrics:
         return {}
     sums = dict.fromkeys((PEAK, OVER_COMFORT, OVER_LIMIT), jnp.zeros(num_envs, jnp.float32))
@@ -124,7 +124,7 @@ def zero_gentleness(state: Any, num_envs: int) -> dict[str, jax.Array]:
 
 
 def gentleness_gains(state: Any) -> dict[str, jax.Array]:
-    """Of one step of all environments, under the names of ``zero_gentleness``."""
+    """Return the contributions of one step of all environments, under the names of ``zero_gentleness``."""
     metrics = state.metrics
     if COMFORT_KEY not in metrics:
         return {}
@@ -138,11 +138,11 @@ def gentleness_gains(state: Any) -> dict[str, jax.Array]:
 
 
 def gentleness_of(sums: Mapping[str, np.ndarray], comfort: Any) -> Gentleness | None:
-    """What the sums of all steps make; None where the environment does not measure it.
+    """Compute the result from the sums over all steps; None if the environment does not measure it.
 
     Args:
-        sums: NumPy, with the ``length`` of the episodes.
-        comfort: limit of each region [N], or None.
+        sums: NumPy arrays, including the ``length`` of the episodes.
+        comfort: comfort limit of each region [N], or None.
     """
     if PEAK not in sums:
         return None

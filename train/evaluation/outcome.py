@@ -1,4 +1,4 @@
-"""How far a task got in the units of care, and how long it took."""
+"""Progress of a task in practical units, and the time it took."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from agym_jax.metrics import TASK_PREFIX
 from agym_jax.spec import Measure
 
 UNDONE = "undone_until"
-"""Of the sums, a maximum: the last step after which the task was not done."""
+"""Name of a maximum among the sums: the last step after which the task was not done."""
 
 
 def in_words(measure: Measure, value: float) -> str:
-    """A measure's value: "35% wiped", "0.58 m distance"."""
+    """Format a measure's value: "35% wiped", "0.58 m distance"."""
     if measure.unit == "1" and measure.words.startswith("share"):
         return f"{value:.0%} {measure.name}"
     return f"{value:.3g}{'' if measure.unit == '1' else f' {measure.unit}'} {measure.name}"
@@ -25,12 +25,12 @@ def in_words(measure: Measure, value: float) -> str:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How the episodes ended; arrays have one entry an episode.
+    """How the episodes ended; arrays have one entry per episode.
 
     Attributes:
-        measures: of the task.
+        measures: measures of the task.
         values: name of each measure -> its value at the last step    (episodes,).
-        times: from when on the task was done until the end [s]; NaN where it was not    (episodes,).
+        times: time from which the task remained done until the end [s]; NaN if it was not    (episodes,).
     """
 
     measures: tuple[Measure, ...]
@@ -39,12 +39,12 @@ class Outcome:
 
     @property
     def median_time(self) -> float | None:
-        """Median of the times of the successes [s]; None if there is none."""
+        """Median time of the successful episodes [s]; None if there are none."""
         done = self.times[np.isfinite(self.times)]
         return float(np.median(done)) if len(done) else None
 
     def rows(self) -> list[tuple[str, str]]:
-        """Lines of a table: name, value."""
+        """Return rows of a table: name, value."""
         found = []
         for measure in self.measures:
             low, middle, high = np.quantile(self.values[measure.name], (0.25, 0.5, 0.75))
@@ -59,23 +59,23 @@ class Outcome:
         return found
 
     def summary(self) -> dict[str, Any]:
-        """The same for a JSON line."""
+        """Return the same as fields of a JSON line."""
         means = {f"{TASK_PREFIX}{x.name}": float(self.values[x.name].mean()) for x in self.measures}
         return means | {"time_to_success": self.median_time}
 
 
 def zero_outcome(state: Any, zeros: jax.Array) -> dict[str, jax.Array]:
-    """What ``outcome_gains`` is added to, or the largest of."""
+    """Return initial sums and maxima for ``outcome_gains``."""
     names = [name for name in state.metrics if name.startswith(TASK_PREFIX)]
     return dict.fromkeys([*names, UNDONE], zeros)
 
 
 def outcome_gains(state: Any, steps: jax.Array) -> dict[str, jax.Array]:
-    """Of one step of all environments, under the names of ``zero_outcome``.
+    """Return the contributions of one step of all environments, under the names of ``zero_outcome``.
 
     Args:
-        state: after the step.
-        steps: of each episode, this one included (B,).
+        state: state after the step.
+        steps: steps taken in each episode, including this one (B,).
     """
     metrics = state.metrics
     gains = {
@@ -85,11 +85,11 @@ def outcome_gains(state: Any, steps: jax.Array) -> dict[str, jax.Array]:
 
 
 def outcome_of(env: Any, sums: Mapping[str, np.ndarray], successes: np.ndarray) -> Outcome:
-    """What the sums of all steps make.
+    """Compute the outcome from the sums over all steps.
 
     Args:
-        env: whose task measures.
-        sums: NumPy.
+        env: environment whose task has measures.
+        sums: NumPy arrays.
         successes: whether the task was done at the last step (episodes,).
     """
     measures = getattr(getattr(env, "task", None), "measures", ())

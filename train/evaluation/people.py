@@ -1,4 +1,4 @@
-"""Whom an evaluation helped: success and gentle success by sex, impairment and size of the person."""
+"""The people helped in an evaluation: success and gentle success by sex, impairment and size of the person."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from agym_jax.human.population import Human
 PREFIX = "person/"
 FIFTHS = 5
 LEAST = 20
-"""Episodes from which on a group can be the worst: of fewer, chance decides."""
+"""Smallest number of episodes for a group to be reported as the worst; with fewer, chance decides."""
 IMPAIRED = {"limits": "with limited joints", "weakness": "with weakness", "tremor": "with tremor"}
 WELL = "without impairment"
 SIZES = {"stature": ("shortest", "tallest"), "girth": ("slimmest", "stoutest")}
-"""What people differ in where sizes are continuous, and what its first and last fifth are called."""
+"""Continuous sizes in which people differ -> names of the lowest and the highest fifth."""
 
 
 @dataclass(frozen=True)
 class People:
-    """The person of each episode; arrays have one entry an episode. See ``agym_jax.human.population.Human``.
+    """The person of each episode; arrays have one entry per episode. See ``agym_jax.human.population.Human``.
 
     Attributes:
-        sex: 0 a man, 1 a woman, or between or beyond them.
+        sex: 0 male, 1 female, or a value between or beyond these.
         stature: height scale.
         girth: radius scale.
         limits: whether the joints are limited.
@@ -41,9 +41,9 @@ class People:
     tremor: np.ndarray
 
     def groups(self) -> dict[str, np.ndarray]:
-        """Name of each group -> whether a person belongs to it (episodes,); groups of nobody are left out.
+        """Return name of each group -> whether a person belongs to it (episodes,); empty groups are omitted.
 
-        Fifths are of these people, where sizes differ.
+        Fifths refer to these people, if their sizes differ.
         """
         women = self.sex >= 0.5
         impaired = {words: getattr(self, name) for name, words in IMPAIRED.items()}
@@ -59,7 +59,7 @@ class People:
 
 
 def people_in(first: Any) -> dict[str, Any]:
-    """The people of a batch of first states, as ``person/<field>``; empty where environments have none."""
+    """Return the people of a batch of first states, as ``person/<field>``; empty if environments have none."""
     human = getattr(getattr(first, "episode", None), "human", None)
     if human is None:
         return {}
@@ -68,14 +68,14 @@ def people_in(first: Any) -> dict[str, Any]:
 
 
 def people_of(sums: Mapping[str, np.ndarray]) -> People | None:
-    """The people among what an evaluation found, in NumPy."""
+    """Extract the people from an evaluation's sums, in NumPy."""
     if f"{PREFIX}sex" not in sums:
         return None
     return People(**{x.name: sums[f"{PREFIX}{x.name}"] for x in fields(People)})
 
 
 def describe(human: Human) -> str:
-    """One person in words: "a woman with tremor"."""
+    """Describe a person in words: "a woman with tremor"."""
     impairments = [IMPAIRED[name] for name, there in human.impaired.items() if there]
     who = "a woman" if human.sex >= 0.5 else "a man"
     return " ".join([who, " and ".join(impairments) or WELL])
@@ -83,7 +83,7 @@ def describe(human: Human) -> str:
 
 @dataclass(frozen=True)
 class Group:
-    """What an evaluation found among the people of one group."""
+    """Results of an evaluation for one group of people."""
 
     name: str
     episodes: int
@@ -92,12 +92,12 @@ class Group:
 
 
 def by_group(people: People, successes: np.ndarray, gentle: np.ndarray | None) -> list[Group]:
-    """Success and gentle success of each group.
+    """Compute success and gentle success of each group.
 
     Args:
-        people: of each episode.
-        successes: whether it was one (episodes,).
-        gentle: whether it was a gentle one (episodes,); None where that is not measured.
+        people: person of each episode.
+        successes: whether the episode was a success (episodes,).
+        gentle: whether it was a gentle success (episodes,); None if that is not measured.
     """
     return [
         Group(
@@ -111,12 +111,12 @@ def by_group(people: People, successes: np.ndarray, gentle: np.ndarray | None) -
 
 
 def worst(groups: list[Group]) -> Group | None:
-    """The group that is helped least often, of those with ``LEAST`` episodes; None if there is none."""
+    """Return the group with the lowest success among those with at least ``LEAST`` episodes; None if there is none."""
     return min((x for x in groups if x.episodes >= LEAST), key=lambda x: x.success, default=None)
 
 
 def group_rows(groups: list[Group]) -> list[tuple[str, str]]:
-    """Lines of a table: name, value."""
+    """Return rows of a table: name, value."""
     return [
         (
             x.name,

@@ -1,4 +1,4 @@
-"""What an evaluation found: sums over each environment's first episode, and the result that they make."""
+"""Results of an evaluation: sums over each environment's first episode, and the result computed from them."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from .people import Group, People, by_group, group_rows, people_of, worst
 
 
 def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
-    """Wilson's interval of a probability.
+    """Compute the Wilson interval of a probability.
 
     Args:
-        successes: how often it happened.
-        trials: out of how many.
+        successes: number of successes.
+        trials: number of trials.
         z: quantile of the normal distribution; the default gives 95 %.
 
     Returns:
-        Lower and upper end; (0, 1) without trials.
+        Lower and upper bound; (0, 1) without trials.
     """
     if trials == 0:
         return 0.0, 1.0
@@ -44,19 +44,19 @@ def wilson_interval(successes: int, trials: int, z: float = 1.959964) -> tuple[f
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """What an evaluation found; arrays have one entry an episode.
+    """Results of an evaluation; arrays have one entry per episode.
 
     Attributes:
         env: environment id.
         returns: return of the episode.
-        forces: mean over its steps of the force on the person [N].
-        successes: whether the task was done at its last step.
-        nan: whether it ended because the physics went non-finite.
-        overflow: steps in which the physics lost contacts, all episodes.
-        seconds: time of the rollout, compiling included.
-        gentleness: peaks of that force, and steps above limits; None where the environment does not measure them.
-        outcome: how far the task got in its own units, and when it was done.
-        people: who was helped; None where the environment does not tell.
+        forces: force on the person, mean over the steps of the episode [N].
+        successes: whether the task was done at the last step.
+        nan: whether the episode ended because the physics became non-finite.
+        overflow: number of steps in which the physics lost contacts, over all episodes.
+        seconds: duration of the rollout, including compilation.
+        gentleness: peak forces, and steps above limits; None if the environment does not measure them.
+        outcome: progress of the task in its own units, and when it was done.
+        people: the people who were helped; None if the environment does not report them.
     """
 
     env: str
@@ -77,36 +77,36 @@ class EvaluationResult:
 
     @property
     def success(self) -> float:
-        """Share of episodes that succeeded."""
+        """Success rate of the episodes."""
         return float(np.mean(self.successes))
 
     @property
     def success_interval(self) -> tuple[float, float]:
-        """Its 95 % Wilson interval."""
+        """95 % Wilson interval of the success rate."""
         return wilson_interval(int(np.sum(self.successes)), self.episodes)
 
     @property
     def gentle_successes(self) -> np.ndarray | None:
-        """Whether the task was done and no step above the comfort limit (episodes,)."""
+        """Whether the task was done with no step above the comfort limit (episodes,)."""
         return None if self.gentleness is None else self.successes & self.gentleness.kept
 
     @property
     def gentle_success(self) -> float | None:
-        """Share of episodes that succeeded gently; None where that is not measured."""
+        """Rate of gentle success; None if it is not measured."""
         return None if self.gentle_successes is None else float(np.mean(self.gentle_successes))
 
     @property
     def groups(self) -> list[Group]:
-        """Success by sex, impairment and size of the person; empty where the environment does not tell."""
+        """Success by sex, impairment and size of the person; empty if the environment does not report them."""
         if self.people is None:
             return []
         return by_group(self.people, self.successes, self.gentle_successes)
 
     def table(self, groups: bool = False) -> str:
-        """The result for people.
+        """Format the result as a table.
 
         Args:
-            groups: success of each group of people, too.
+            groups: also include the success of each group of people.
         """
         low, high = self.success_interval
         rows = [
@@ -133,7 +133,7 @@ class EvaluationResult:
         return "\n".join([head] + [f"  {name:<24}{value}" for name, value in rows])
 
     def summary(self) -> dict[str, Any]:
-        """The result for a JSON line."""
+        """Return the result as fields of a JSON line."""
         low, high = self.success_interval
         gentle = {}
         if self.gentleness is not None and self.gentle_successes is not None:
@@ -164,11 +164,11 @@ class EvaluationResult:
 
 
 def zero_sums(first: Any, num_envs: int) -> dict[str, jax.Array]:
-    """What ``add_step`` adds to: one entry an environment.
+    """Return initial sums for ``add_step``, with one entry per environment.
 
     Args:
         first: states of the environments before the first step.
-        num_envs: how many they are.
+        num_envs: number of environments.
     """
     names = ("return", "force", "length", "success", "nan", "overflow")
     zeros = jnp.zeros(num_envs, jnp.float32)
@@ -183,8 +183,8 @@ def add_step(
 
     Args:
         going: 1 in the environments whose first episode had not ended before the step    (B,).
-        sums: so far.
-        state: of all environments after the step.
+        sums: sums so far.
+        state: state of all environments after the step.
 
     Returns:
         ``going`` and ``sums`` after the step.
@@ -211,7 +211,7 @@ def add_step(
 
 
 def result_of(env: Any, sums: Mapping[str, Any], seconds: float) -> EvaluationResult:
-    """The result that the sums of all steps make, of an environment."""
+    """Compute the result of an environment from the sums over all steps."""
     sums = {name: np.asarray(value) for name, value in sums.items()}
     successes = sums["success"] > 0.5
     return EvaluationResult(

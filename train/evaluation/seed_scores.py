@@ -1,4 +1,4 @@
-"""What the policies of several seeds score over the same episodes, and what that says of their setting."""
+"""Scores of the policies of several seeds on the same episodes, and statistics of their setting."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class SeedScores:
     """Results of each seed of one setting.
 
     Attributes:
-        results: seed -> its evaluation, over the same episodes.
-        gently: whether seeds are ranked by gentle success; where that is not measured, by success.
+        results: seed -> its evaluation, on the same episodes.
+        gently: whether seeds are ranked by gentle success; if that is not measured, by success.
     """
 
     results: Mapping[int, EvaluationResult]
@@ -30,7 +30,7 @@ class SeedScores:
 
     @property
     def successes(self) -> np.ndarray:
-        """1 where an episode was a success (seeds, episodes)."""
+        """Successes: 1 if an episode succeeded (seeds, episodes)."""
         return np.stack([np.asarray(x.successes, float) for x in self.results.values()])
 
     @property
@@ -40,12 +40,12 @@ class SeedScores:
 
     @property
     def best(self) -> int:
-        """The seed with most (gentle) successes, of equal ones that of the highest return."""
+        """The seed with the most (gentle) successes; ties are broken by the highest return."""
         return max(self.results, key=self._rank)
 
     @property
     def worst(self) -> int:
-        """The seed with fewest (gentle) successes, of equal ones that of the lowest return."""
+        """The seed with the fewest (gentle) successes; ties are broken by the lowest return."""
         return min(self.results, key=self._rank)
 
     def _rank(self, seed: int) -> tuple[float, float, float]:
@@ -55,7 +55,7 @@ class SeedScores:
         return first, found.success, float(found.returns.mean())
 
     def table(self) -> str:
-        """The seeds, and what they make together, for people."""
+        """Format the seeds and their statistics as a table."""
         first = next(iter(self.results.values()))
         lines = [f"{first.env}, {len(self.results)} seeds, {first.episodes} episodes each"]
         for seed, x in self.results.items():
@@ -76,7 +76,7 @@ class SeedScores:
         return "\n".join(lines)
 
     def summary(self) -> dict[str, Any]:
-        """The same for a JSON line."""
+        """Return the same as fields of a JSON line."""
         first = next(iter(self.results.values()))
         gentle = {}
         if first.gentle_success is not None:
@@ -113,10 +113,10 @@ def score_seeds(
     """Run the same episodes with the policy of each seed.
 
     Args:
-        evaluator: of the environment.
+        evaluator: evaluator of the environment.
         policies: seed -> policy.
-        key: decides the episodes.
-        deterministic: take the mode of the policies' distributions.
-        gently: rank them by gentle success.
+        key: determines the episodes.
+        deterministic: act by the mode of the policies' distributions.
+        gently: rank seeds by gentle success.
     """
     return SeedScores({s: evaluator(p, key, deterministic) for s, p in policies.items()}, gently)

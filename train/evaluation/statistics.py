@@ -1,4 +1,4 @@
-"""Statistics over seeds and episodes, as the field asks for them.
+"""Statistics over seeds and episodes, following the recommendations for reporting in reinforcement learning.
 
 Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice": interquartile mean over
 seeds, intervals by the stratified bootstrap, probability of improvement between two settings.
@@ -15,20 +15,20 @@ RESAMPLES = 2000
 
 
 def iqm(scores: Any, axis: int = -1) -> Any:
-    """Interquartile mean: the mean without the lowest and the highest quarter.
+    """Compute the interquartile mean: the mean without the lowest and the highest quarter.
 
-    A quarter that is no whole number of scores cuts the next one in part, so that one score changes nothing
-    by jumps; up to three scores, and of equal scores, it is near or equal to the mean.
+    If a quarter is not a whole number of scores, the next score is weighted partially, so that the result varies
+    continuously; for up to three scores, or equal scores, it is close or equal to the mean.
 
     Args:
         scores: (..., n, ...).
-        axis: of the n scores.
+        axis: axis of the n scores.
 
     Returns:
         A float, or an array without that axis.
 
     Raises:
-        ValueError: there are no scores.
+        ValueError: if there are no scores.
     """
     ordered = np.sort(np.moveaxis(np.asarray(scores, float), axis, -1), axis=-1)
     n = ordered.shape[-1]
@@ -47,17 +47,17 @@ def bootstrap_interval(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> tuple[float, float]:
-    """Interval of a statistic of seeds, by the bootstrap: seeds are drawn anew, and episodes within each seed.
+    """Compute a bootstrap interval of a statistic over seeds, resampling seeds and the episodes within each seed.
 
     Args:
-        scores: of each episode of each seed (seeds, episodes); one column for seeds alone.
-        statistic: of the mean score of each seed, (resamples, seeds) -> (resamples,).
-        confidence: share of the resamples within the interval.
-        resamples: how many.
-        seed: of the draws.
+        scores: score of each episode of each seed (seeds, episodes); a single column to resample seeds only.
+        statistic: statistic of the seeds' mean scores, (resamples, seeds) -> (resamples,).
+        confidence: fraction of the resamples within the interval.
+        resamples: number of resamples.
+        seed: seed of the resampling.
 
     Returns:
-        Lower and upper end.
+        Lower and upper bound.
     """
     scores = np.asarray(scores, float)
     seeds, episodes = scores.shape
@@ -73,7 +73,7 @@ def bootstrap_interval(
 
 
 def probability_of_improvement(ours: Any, theirs: Any) -> float:
-    """How likely a seed of one setting scores higher than a seed of another; ties count half.
+    """Return the probability that a seed of one setting scores higher than a seed of another; ties count half.
 
     Args:
         ours: score of each seed (n,).
@@ -86,14 +86,14 @@ def probability_of_improvement(ours: Any, theirs: Any) -> float:
 def improvement_interval(
     ours: Any, theirs: Any, confidence: float = 0.95, resamples: int = RESAMPLES, seed: int = 0
 ) -> tuple[float, float]:
-    """Interval of ``probability_of_improvement``, by the bootstrap over the seeds of both.
+    """Compute a bootstrap interval of ``probability_of_improvement``, resampling the seeds of both settings.
 
     Args:
         ours: score of each seed (n,).
         theirs: score of each seed (m,).
-        confidence: share of the resamples within the interval.
-        resamples: how many.
-        seed: of the draws.
+        confidence: fraction of the resamples within the interval.
+        resamples: number of resamples.
+        seed: seed of the resampling.
     """
     rng = np.random.default_rng(seed)
     ours, theirs = np.asarray(ours, float), np.asarray(theirs, float)

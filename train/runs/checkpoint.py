@@ -134,7 +134,7 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
     trainer = compatibility.get("trainer", theirs.get("trainer"))
     if theirs.get("trainer") != trainer:
         raise CheckpointMismatchError(
-            f"{path} is of a run of train.{theirs.get('trainer')}, this is train.{trainer}. Continue it "
+            f"{path} belongs to a run of train.{theirs.get('trainer')}, but this is train.{trainer}. Continue it "
             f"with agym-jax {theirs.get('trainer')}, choose another --save-dir, or start over "
             f"with --fresh (which moves the old run aside)."
         )

@@ -1,4 +1,4 @@
-"""What a person sees while a policy trains: a bar in a terminal, a line now and then elsewhere."""
+"""Progress reports during training: a progress bar in a terminal, otherwise occasional lines."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ LINE_PERIOD = 10.0  # seconds between lines when there is no terminal
 
 
 class Progress(Protocol):
-    """What the training loop tells."""
+    """Receiver of the training loop's progress reports."""
 
     def start(self, done: int, total: int) -> None:
-        """Training begins (or goes on) at ``done`` of ``total`` environment steps."""
+        """Called when training starts (or continues) at ``done`` of ``total`` environment steps."""
 
     def say(self, text: str) -> None:
-        """Something worth a line."""
+        """Called with a message to print."""
 
     def update(self, row: Mapping[str, Any]) -> None:
-        """A row of the learning curve."""
+        """Called with each row of the learning curve."""
 
     def stop(self) -> None:
-        """Training ends, for whatever reason."""
+        """Called when training ends, for any reason."""
 
 
 class Silent:
@@ -43,14 +43,14 @@ class Silent:
 
 
 def duration(seconds: float) -> str:
-    """``75`` -> ``1:15``; hours appear when needed."""
+    """Format seconds: ``75`` -> ``1:15``; hours are shown only if needed."""
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
 
 
 class _Latest:
-    """The last known numbers: rows between the ends of episodes have none of their own."""
+    """The most recent values, because rows without finished episodes have none of their own."""
 
     def __init__(self) -> None:
         self.total = self.first = 0
@@ -78,7 +78,7 @@ class _Latest:
 
 
 class Lines:
-    """Plain lines, for logs: the first, the last, and at most one in ten seconds between."""
+    """Plain lines, for logs: the first, the last, and at most one every ten seconds in between."""
 
     def __init__(self, period: float = LINE_PERIOD) -> None:
         self._latest = _Latest()
@@ -148,5 +148,5 @@ class Bar:
 
 
 def for_terminal() -> Progress:
-    """A bar if standard output is a terminal, otherwise lines."""
+    """Return a progress bar if standard output is a terminal, otherwise lines."""
     return Bar() if sys.stdout.isatty() else Lines()

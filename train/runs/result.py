@@ -1,4 +1,4 @@
-"""What a training run leaves, and the line that says so."""
+"""The result of a training run, and its one-line summary."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .progress import duration
 
 @dataclass(frozen=True)
 class SeedResult:
-    """What one seed of a run leaves.
+    """The result of one seed of a run.
 
     Attributes:
-        name: of its folder.
+        name: name of its folder.
         seed: the seed.
-        policies: the trained policies by agent: "robot", "human", or "joint" for both at once.
-        curve: rows of the learning curve, of all sessions.
+        policies: the trained policies by agent: "robot", "human", or "joint" for both together.
+        curve: rows of the learning curve, from all sessions.
         stopped: why it was stopped before the others; empty if it was not.
     """
 
@@ -35,21 +35,21 @@ class SeedResult:
 
 @dataclass(frozen=True)
 class TrainResult:
-    """What a run leaves.
+    """The result of a run.
 
     Attributes:
-        seeds: what each of its seeds leaves.
-        learner: the learner, for going on in Python.
-        config: settings with everything automatic filled in.
-        curve: rows of the learning curve, of all sessions; with several seeds those of ``combine_rows``.
-        env_steps: environment steps of each seed, of all sessions.
+        seeds: the results of its seeds.
+        learner: the learner, to continue in Python.
+        config: settings with all automatic values filled in.
+        curve: rows of the learning curve, from all sessions; with several seeds, those of ``combine_rows``.
+        env_steps: environment steps of each seed, over all sessions.
         session_steps: environment steps of all seeds in this session.
-        compile_seconds: time to trace and compile.
-        train_seconds: time of this session's training, with logging and saving.
-        nan_steps: steps of this session in which an environment went non-finite.
-        interrupted: stopped by Ctrl-C, SIGTERM or ``on_log`` before the end.
-        folder: where the files are; None if nothing was written.
-        unsaved: why the end of the run is not on disk, as when that is full; empty if it is.
+        compile_seconds: time for tracing and compilation.
+        train_seconds: training time of this session, including logging and saving.
+        nan_steps: steps of this session in which an environment became non-finite.
+        interrupted: whether the run was stopped by Ctrl-C, SIGTERM or ``on_log`` before the end.
+        folder: folder of the files; None if nothing was written.
+        unsaved: why the end of the run could not be saved, for example because the disk is full; empty if it was saved.
         saved_steps: environment steps of the newest checkpoint.
     """
 
@@ -69,26 +69,26 @@ class TrainResult:
 
     @property
     def policies(self) -> Mapping[str, Policy]:
-        """The policies by agent; of the first seed, if there are several."""
+        """The policies by agent; those of the first seed if there are several."""
         return self.seeds[0].policies
 
     @property
     def policy(self) -> Policy:
-        """The robot's policy, or the one for both; of the first seed, if there are several."""
+        """The robot's policy, or the joint policy; that of the first seed if there are several."""
         return next(iter(self.policies.values()))
 
     @property
     def steps_per_second(self) -> float:
-        """Environment steps per second of training, without compiling."""
+        """Environment steps per second of training, excluding compilation."""
         return self.session_steps / max(self.train_seconds, 1e-9)
 
     def last(self, name: str) -> float | None:
-        """The last known value of a column of the curve."""
+        """Return the last known value of a column of the curve."""
         return next((row[name] for row in reversed(self.curve) if row.get(name) is not None), None)
 
 
 def summary(result: TrainResult) -> str:
-    """One line, and where the files are."""
+    """Summarise the result in one line, and say where the files are."""
 
     def shown(name: str, form: str) -> str:
         value = result.last(name)

@@ -1,6 +1,6 @@
-"""One session of training, whoever learns: compile, run from log line to log line, save, resume.
+"""One training session, for any kind of agents: compile, run from log line to log line, save, resume.
 
-The run is compiled once. Each call of the program makes the updates between two log lines. A session that finds
+The run is compiled once. Each call of the program performs the updates between two log lines. A session that finds
 checkpoints in its folder resumes from them.
 """
 
@@ -55,10 +55,10 @@ OnLog = Callable[[Row, Callable[[], Policies]], bool | None]
 
 
 def resolve_config(env: Any, config: Config) -> tuple[Config, Mesh | None]:
-    """Settings for an environment and this machine, and the devices if there are several.
+    """Resolve the settings for an environment and this machine; also return the devices if there are several.
 
     Raises:
-        ConfigError: settings that do not fit together, or the machine.
+        ConfigError: if settings are inconsistent, or do not suit the machine.
     """
     if is_native(env) and config.devices > 1:
         raise ConfigError(
@@ -84,12 +84,12 @@ def run_session(
 
     Args:
         env: an environment (``agym_jax.make``), or a ``StepwiseEnv``.
-        config: from ``resolve_config``.
-        single: who learns, in one training.
-        mesh: from ``resolve_config``.
-        progress: is told what happens; None shows nothing.
-        on_log: see ``train.ppo.train``; gets policies by agent, of the first seed.
-        lanes: the trainings side by side; by default one for each seed of the configuration.
+        config: settings from ``resolve_config``.
+        single: the agents that learn in a single training.
+        mesh: devices from ``resolve_config``.
+        progress: receives progress reports; None shows nothing.
+        on_log: see ``train.ppo.train``; receives the policies of the first seed by agent.
+        lanes: the trainings to run in parallel; by default, one for each seed of the configuration.
 
     Returns:
         Policies, learning curve and times.
@@ -164,7 +164,7 @@ def _run(
         else:
             learner, rollout, run = _compile(venv, config, agents, learner, key_envs, mesh)
     else:
-        progress.say("This run is complete; raise --num-env-steps to go on.")
+        progress.say("This run is complete; raise --num-env-steps to continue it.")
     compile_seconds = time.perf_counter() - start
 
     progress.start(first_steps, total_steps)
@@ -200,7 +200,7 @@ def _run(
                     next_learner = keep_learner(next_learner, learner, i)
                     hyper.learns[i] = 0.0
                     manager.stopped[lanes[i].name] = diverged(going.pop(i))
-                    progress.say(f"{lanes[i].name} diverged {diverged(bad)}; the others go on.")
+                    progress.say(f"{lanes[i].name} diverged {diverged(bad)}; the others continue.")
                 row = manager.add(going)
                 learner, env_steps = next_learner, env_steps + count * batch
             progress.update(row)
@@ -308,9 +308,9 @@ def command_line(
     Args:
         kind: of its settings.
         train: the trainer: environment, settings and progress -> result.
-        arguments: words; None for those of the program.
+        arguments: command-line arguments; None for those of this process.
         make: id, physics and options -> environment.
-        prog: what was typed to start it, for the help.
+        prog: program name shown in the help.
 
     Returns:
         The exit status.

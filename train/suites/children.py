@@ -113,7 +113,7 @@ def visible_gpus(wanted: int = 0) -> list[str]:
     there = _all_gpus() if named is None else [x for x in named.split(",") if x.strip()]
     if wanted > len(there):
         raise ConfigError(
-            f"--gpus {wanted} were asked for; there are {len(there)}. Use --gpus {len(there)} or leave it out."
+            f"--gpus {wanted} requested, but there are only {len(there)}. Use --gpus {len(there)} or leave it out."
         )
     return there[:wanted] if wanted else there
 

@@ -142,7 +142,7 @@ def _read_description(path: Path) -> Garment:
     for key in ("mesh", "cuff", "anchors"):
         if key not in said:
             raise GarmentError(
-                f"{path.name} does not say {key}; a garment needs mesh, cuff and anchors."
+                f"{path.name} does not specify {key}; a garment needs mesh, cuff and anchors."
             )
     vertices, triangles = _read_obj(asset_path(str((path.parent / said["mesh"]).absolute())))
     cuff = _indices(path.name, "cuff", said["cuff"], len(vertices))

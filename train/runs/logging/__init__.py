@@ -36,7 +36,7 @@ def check_loggers(names: Sequence[str], save_dir: str | None) -> None:
             )
     if names and save_dir is None:
         raise ConfigError(
-            f"--logger {' '.join(names)} continues a log by what is in the run's folder, and --save-dir None has none. "
+            f"--logger {' '.join(names)} needs the run's folder to continue its log, and --save-dir None has none. "
             f"Name a folder, or leave the logger out."
         )
 

@@ -33,6 +33,6 @@ class Wandb(Service):
             )
         except wandb.Error as error:
             raise ConfigError(
-                f"--logger wandb cannot begin: {error} Log in with wandb login, set WANDB_MODE=offline, or leave the "
+                f"--logger wandb cannot start: {error} Log in with wandb login, set WANDB_MODE=offline, or leave the "
                 f"logger out."
             ) from error

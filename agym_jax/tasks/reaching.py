@@ -1,4 +1,4 @@
-"""Reaching: bring the robot's hand to the person's mouth. The tutorial's task, with no tool.
+"""Reaching: bring the robot's hand to the person's mouth. This is the tutorial's task, without a tool.
 
 Assistive Gym v0.1's wiki, "Creating a New Assistive Environment" (reference tasks.md section 8).
 ``docs/create_an_environment.md`` walks through this file.
@@ -34,8 +34,8 @@ class Config:
 
     Attributes:
         distance: weight of the distance from hand to mouth [1/m].
-        reached: distance from hand to mouth that is a success [m].
-        preferences: weights of what people prefer.
+        reached: distance from hand to mouth within which the task succeeds [m].
+        preferences: weights of the human-preference terms.
     """
 
     distance: float = 1.0  # distance_weight
@@ -46,7 +46,7 @@ class Config:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ReachState:
-    """Where the mouth is and how far the hand is from it."""
+    """The position of the mouth and the distance of the hand from it."""
 
     mouth_pos_w: Array  # [m]                                                  (3,)
     distance: Array  # [m]                                                     ()
@@ -54,7 +54,7 @@ class ReachState:
 
 @observation(source="wiki tutorial")
 class RobotObs:
-    """What the robot sees."""
+    """Observation of the robot."""
 
     hand_pos_torso: Array = column(3, "m", "world axes, from the robot's torso")
     hand_pos_mouth: Array = column(3, "m", "world axes, from the mouth")
@@ -65,7 +65,7 @@ class RobotObs:
 
 @observation(source="wiki tutorial")
 class HumanObs:
-    """What the active person sees and feels."""
+    """Observation of the active person."""
 
     hand_pos_human: Array = column(3, "m", "world axes, from the chest")
     hand_pos_mouth: Array = column(3, "m", "world axes, from the mouth")
@@ -113,22 +113,22 @@ class Reaching:
     human_obs: type = HumanObs
 
     def start(self, key: Array, robot: str) -> Array:
-        """Where the hand starts, world [m] (1, 3)."""
+        """Return the start position of the hand, world [m] (1, 3)."""
         centre = jnp.array([[-0.15, -0.4, 1.0]])
         return centre + jax.random.uniform(key, (1, 3), minval=-0.05, maxval=0.05)
 
     def init(self, key: Array, sensed: Sensed) -> ReachState:
-        """The goal: the mouth, wherever the head is turned."""
+        """Set the goal: the mouth, whichever way the head is turned."""
         return ReachState(sensed.mouth_pos_w, _distance(sensed))
 
     def advance(self, state: ReachState, sensed: Sensed) -> tuple[ReachState, dict[str, Array]]:
-        """Look where hand and mouth are now."""
+        """Update the positions of hand and mouth."""
         return ReachState(sensed.mouth_pos_w, _distance(sensed)), {}
 
     def rewards(
         self, state: ReachState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Weighted terms."""
+        """Return the weighted reward terms."""
         c = self.config
         return {
             "distance": -c.distance * state.distance,
@@ -141,7 +141,7 @@ class Reaching:
         }
 
     def observe(self, state: ReachState, sensed: Sensed) -> tuple[RobotObs, HumanObs]:
-        """What robot and person see."""
+        """Return the observations of robot and person."""
         hand, head = sensed.tool, sensed.link_quat_w["head"]
         to_mouth = hand.pos_w - state.mouth_pos_w
         robot = RobotObs(
@@ -166,11 +166,11 @@ class Reaching:
         return state.distance <= self.config.reached
 
     def measure(self, state: ReachState) -> dict[str, Array]:
-        """How far the hand is from the mouth."""
+        """Return the distance from the hand to the mouth."""
         return {"distance": state.distance}
 
     def markers(self, state: ReachState) -> list[tuple[Array, float, tuple[float, ...]]]:
-        """Points to draw: a green sphere of 1 cm at the mouth."""
+        """Return the points to draw: a green sphere of 1 cm at the mouth."""
         return [(state.mouth_pos_w, 0.01, (0.0, 1.0, 0.0, 1.0))]
 
 

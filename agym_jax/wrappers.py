@@ -116,7 +116,8 @@ class VectorEnv:
             state: state of the batch.
             key: PRNG key, or n keys (n, 2) for n equal parts of the batch.
             interval: steps between two phases, a divisor of the episode length; by default ``reset_interval``. Episodes end in
-                one of so many steps only, and the program of a reset, which runs for the whole batch, is skipped in the others.
+                one of so many steps only, and the program of a reset, which runs for the whole batch, is skipped in the others
+                (except after a failure of the physics, which ends an episode at any step).
         """
         interval = interval or self.reset_interval
         phases = self.episode_length // interval

@@ -62,7 +62,7 @@ class LearnConfig(EnvFlags):
     num_mini_batch: Count = 8
     """Gradient steps per pass; fewer if a mini-batch would have less than 80 samples."""
     stagger: bool = True
-    """Start the environments at different times within their first episode, so that every update contains all phases of an
+    """Start the environments at different times within their first episode, so that every update contains most phases of an
     episode (requires support by the environment; the first episodes are not counted)."""
 
     lr: float = 3e-4

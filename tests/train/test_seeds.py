@@ -20,8 +20,10 @@ from train import coop, ppo
 from train.configs import CoopConfig, PPOConfig
 from train.envs import vectorize
 from train.errors import CheckpointMismatchError, ConfigError, DivergedError
+from train.learning.agents import Agents
 from train.learning.execution import StepwiseEnv
-from train.learning.seeds import SideBySide
+from train.learning.rollout import collect, critic_obs, init_rollout
+from train.learning.seeds import SideBySide, lane_keys, lanes_of
 
 SETTINGS = {
     "num_env_steps": 320 * 6,
@@ -195,3 +197,26 @@ def test_large_networks_of_several_seeds_begin_on_a_small_cpu():
         assert process.communicate(timeout=PROCESS_SECONDS / 4)[0].split() == ["begun"]
     finally:
         process.kill()
+
+
+@pytest.mark.parametrize(("others", "conditionals"), [({}, 1), ({"recompute_advantages": True}, 0)])
+def test_seeds_of_the_same_settings_share_a_conditional(others, conditionals):
+    """A conditional that is one for each seed would compute both of its branches."""
+    config = PPOConfig(**SETTINGS, num_seeds=2, recompute_advantages=False)
+    first, second = lanes_of(config)
+    second = dataclasses.replace(second, config=dataclasses.replace(config, **others))
+    env = FakeEnv()
+    agents = SideBySide(Agents(config, env, ("robot",)), [first, second])
+    venv = vectorize(env, 2 * config.num_envs)
+    keys = lane_keys([first, second])
+
+    def learn(learner, hyper):
+        rollout = init_rollout(venv, keys, True)
+        rollout, batch, _ = collect(
+            lambda obs, key: agents.act(learner, obs, key), venv, rollout, keys,
+            num_steps=4, gamma=0.9, reward_scaling=1.0,
+        )  # fmt: skip
+        return agents.learn(learner, batch, critic_obs(rollout.env_state), keys, hyper)
+
+    traced = jax.make_jaxpr(learn)(jax.eval_shape(agents.init, keys), agents.hyper(1000))
+    assert str(traced).count("cond[") == conditionals

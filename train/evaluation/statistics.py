@@ -62,12 +62,16 @@ def bootstrap_interval(
     scores = np.asarray(scores, float)
     seeds, episodes = scores.shape
     rng = np.random.default_rng(seed)
-    drawn = np.empty((resamples, seeds))
-    for i in range(resamples):
-        rows = scores[rng.integers(0, seeds, seeds)]
-        if episodes > 1:
+    if (
+        episodes == 1
+    ):  # at once: training computes several in every line of its curve, while a GPU waits
+        drawn = scores[rng.integers(0, seeds, (resamples, seeds)), 0]
+    else:
+        drawn = np.empty((resamples, seeds))
+        for i in range(resamples):
+            rows = scores[rng.integers(0, seeds, seeds)]
             rows = np.take_along_axis(rows, rng.integers(0, episodes, rows.shape), axis=1)
-        drawn[i] = rows.mean(axis=1)
+            drawn[i] = rows.mean(axis=1)
     low, high = np.quantile(statistic(drawn), [(1 - confidence) / 2, (1 + confidence) / 2])
     return float(low), float(high)
 

@@ -53,17 +53,17 @@ class LastObservations:
     critic_obs: jax.Array  # (K, B, critic observation)
 
 
-def last_observations(batch: Batch, episode_length: int | None = None) -> LastObservations:
+def last_observations(batch: Batch, truncated_every: int | None = None) -> LastObservations:
     """The last observations of the episodes that a batch cut off.
 
     Few steps end an episode by its length, so that a value function need not read what follows each step.
 
     Args:
         batch: a rollout of T steps of B environments, in the agent's own view.
-        episode_length: steps between two truncations of an environment at least; None if every step may be one.
+        truncated_every: steps between two truncations of an environment at least; None if every step may be one.
     """
     steps = len(batch.truncation)
-    most = steps if episode_length is None else -(-steps // episode_length)
+    most = steps if truncated_every is None else -(-steps // truncated_every)
     step = jnp.argsort(batch.truncation <= 0, axis=0, stable=True)[:most]
     return LastObservations(
         step, jnp.take_along_axis(batch.final_critic_obs, step[..., None], axis=0)

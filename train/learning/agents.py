@@ -115,6 +115,7 @@ class Agents:
         trainer: the command that trains so, as in files and messages.
         losses: names of the scalars that ``learn`` returns.
         episode_length: control steps of an episode.
+        truncated_every: control steps between two truncations of an environment at least; None if that is not known.
         axes: the leading axes of the learner: none, see ``train.learning.seeds``.
 
     Raises:
@@ -132,6 +133,8 @@ class Agents:
         scalars = (*LOSSES, *(COST_LOSSES if self.constrained else ()))
         losses = (self._loss(name, loss) for name in learning for loss in scalars)
         self.losses, self.episode_length = tuple(dict.fromkeys(losses)), env.episode_length
+        # a batch of the environment's own may truncate whenever it wants
+        self.truncated_every = None if hasattr(env, "vectorize") else env.episode_length
         self.axes: tuple[int, ...] = ()
 
     def init(self, key: jax.Array) -> LearnerState:
@@ -201,7 +204,7 @@ class Agents:
                 self.config,
                 agent.networks,
                 axis,
-                self.episode_length,
+                self.truncated_every,
             )
             losses |= {self._loss(agent.name, name): value for name, value in scalars.items()}
         return replace(learner, agents=states), losses

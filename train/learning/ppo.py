@@ -242,7 +242,7 @@ def learn(
     config: LearnConfig,
     networks: Any,
     axis: str | None = None,
-    episode_length: int | None = None,
+    truncated_every: int | None = None,
 ) -> tuple[AgentState, dict[str, jax.Array]]:
     """One update from one rollout.
 
@@ -255,7 +255,7 @@ def learn(
         config: settings that the program is compiled for: passes, mini-batches, what is normalised.
         networks: from ``make_networks``.
         axis: name of the axis of devices that each have a part of the batch.
-        episode_length: steps after which episodes are truncated; None if that is not known.
+        truncated_every: steps between two truncations of an environment at least; None if that is not known.
 
     Returns:
         State after, and the mean of each of ``LOSSES``; with a cost limit also of ``COST_LOSSES``.
@@ -272,7 +272,7 @@ def learn(
         reward = jnp.clip(reward / std, -REWARD_CLIP, REWARD_CLIP)
 
     statistics = agent.critic_normalizer or agent.normalizer
-    size, ends = reward.size, last_observations(batch, episode_length)
+    size, ends = reward.size, last_observations(batch, truncated_every)
 
     def flat(leaves: dict[str, jax.Array]) -> dict[str, jax.Array]:
         return {name: leaf.reshape(size, *leaf.shape[2:]) for name, leaf in leaves.items()}

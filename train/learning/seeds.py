@@ -8,7 +8,7 @@ leading axis of seeds, and what reads it is vmapped over that axis. Seed s learn
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -100,7 +100,12 @@ class SideBySide:
 
         by_seed = jax.tree.map(lambda x: x.reshape(x.shape[0], self.count, -1, *x.shape[2:]), batch)
         last = last.reshape(self.count, -1, *last.shape[1:])
-        learned, losses = jax.vmap(one, in_axes=(0, 1, 0, 0, 0))(
+        hyper_axes = jax.tree.map(lambda _: 0, hyper)
+        if len({lane.config.recompute_advantages for lane in self.lanes}) == 1:
+            # one branch of a conditional for all seeds; of one for each seed, vmap computes both branches
+            hyper = replace(hyper, recompute_advantages=hyper.recompute_advantages[0])
+            hyper_axes = replace(hyper_axes, recompute_advantages=None)
+        learned, losses = jax.vmap(one, in_axes=(0, 1, 0, 0, hyper_axes))(
             learner, by_seed, last, keys, hyper
         )
 

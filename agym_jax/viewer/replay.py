@@ -9,7 +9,7 @@ import numpy as np
 
 from agym_jax.viewer.people import described
 from agym_jax.viewer.picture import Picture
-from agym_jax.viewer.stage import Stage
+from agym_jax.viewer.stage import History, Stage
 
 CAPTION = """<div style="position:fixed;left:14px;top:10px;font:14px sans-serif;color:#333;pointer-events:none">{}</div>"""
 BETWEEN = 2
@@ -54,12 +54,19 @@ def write_replay(
 
 def caption(stage: Stage) -> str:
     """What is seen and how it ended, as HTML."""
-    metrics = stage.states.metrics
-    won = int((np.asarray(metrics["success"]) > 0.5).sum())
-    end = (
-        f"{won} of {stage.count} succeed" if stage.count > 1 else "success" if won else "no success"
-    )
-    who = described(stage.state(0).episode.human) if stage.count == 1 else f"{stage.count} people"
-    steps = len(stage.history.times)
-    text = f"<b>{stage.env.name}</b>, seed {stage.seed}<br>{who}; {end} after {steps * stage.env.dt:.1f} s"
-    return CAPTION.format(text)
+    if stage.count == 1:
+        who, end = described(stage.state(0).episode.human), ending(stage.history)
+    else:
+        won = int((np.asarray(stage.states.metrics["success"]) > 0.5).sum())
+        who = f"{stage.count} people"
+        end = f"{won} of {stage.count} succeed by the end ({stage.history.times[-1]:.1f} s)"
+    return CAPTION.format(f"<b>{stage.env.name}</b>, seed {stage.seed}<br>{who}; {end}")
+
+
+def ending(history: History) -> str:
+    """Whether the episode of a single environment ended in success, and from when on success held until the end."""
+    failing = np.flatnonzero(np.array(history.metrics["success"]) <= 0.5)
+    first = int(failing[-1]) + 1 if failing.size else 0
+    if first == len(history.times):
+        return f"no success in {history.times[-1]:.1f} s"
+    return f"success from {history.times[first]:.1f} s on"

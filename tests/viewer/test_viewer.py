@@ -27,7 +27,8 @@ from agym_jax.viewer.people import Wishes, described
 pytest.importorskip("viser")
 from agym_jax.viewer.panels import short
 from agym_jax.viewer.picture import Place, poses
-from agym_jax.viewer.stage import Stage, preview
+from agym_jax.viewer.replay import ending
+from agym_jax.viewer.stage import History, Stage, preview
 
 ID = "ScratchItchJaco-v0"
 
@@ -77,6 +78,23 @@ def test_names_of_joints_lose_what_all_begin_with():
 
 
 # -- who is there and who drives -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("success", "said"),
+    [
+        ((0, 0, 1, 1), "success from 0.3 s on"),
+        ((0, 1, 0, 1), "success from 0.4 s on"),
+        ((1, 1, 1, 1), "success from 0.1 s on"),
+        ((1, 1, 1, 0), "no success in 0.4 s"),
+        ((0, 0, 0, 0), "no success in 0.4 s"),
+    ],
+)
+def test_a_page_says_from_when_on_success_holds_until_the_end(success: tuple, said: str):
+    history = History()
+    for i, value in enumerate(success):
+        history.add((i + 1) * 0.1, {"success": np.array([value])}, np.zeros(1))
+    assert ending(history) == said
 
 
 def person(**changes: float) -> Human:

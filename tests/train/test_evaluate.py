@@ -13,11 +13,13 @@ import pytest
 from fake_env import FakeEnv
 from fake_press_env import HARDEST, FakePressEnv
 
+from agym_jax.human.regions import NAMES
 from agym_jax.policy import Policy, baseline_policy, save_policy
 from train import enjoy, evaluate
 from train.configs import PPOConfig
 from train.errors import ConfigError
 from train.evaluate import Evaluator
+from train.evaluation.gentleness import Gentleness
 from train.evaluation.score import wilson_interval
 from train.learning.agents import Agents
 
@@ -136,6 +138,24 @@ def test_a_gentle_success_never_exceeds_the_comfort_limit():
     text = found.table()
     assert "gentle success              50.0%" in text and "peak force [N]" in text
     assert "above 20 N in 25.0% of the episodes" in text
+
+
+def test_the_worst_region_is_that_which_exceeds_its_limit_most_often():
+    def worst(episodes, **peaks):
+        regions = np.zeros((episodes, len(NAMES)))
+        for name, values in peaks.items():
+            regions[:, NAMES.index(name)] = values
+        zero = np.zeros(episodes)
+        comfort = np.full(len(NAMES), 20.0)
+        return Gentleness(zero, zero, zero, zero, regions, comfort).worst_region
+
+    # 99 % quantiles of four episodes: 19.52 N and 19.9 N, but only the forearm exceeds 20 N
+    assert worst(4, forearm=[4, 4, 4, 20.1], chest=[19.9] * 4) == "forearm"
+    assert worst(4, forearm=[30, 4, 4, 4], chest=[21, 21, 4, 4]) == "chest"  # more often
+    assert worst(4, forearm=[30, 4, 4, 4], chest=[4, 4, 4, 21]) == "forearm"  # as often, but harder
+    assert worst(4, forearm=[4, 4, 4, 4], chest=[4, 4, 4, 5]) == "chest"  # none exceeds it
+    assert worst(1000, forearm=[30] + [0] * 999) == "forearm"
+    assert worst(4) is None
 
 
 def test_one_step_above_the_limit_is_enough_and_what_comes_after_the_episode_is_not():

@@ -67,11 +67,17 @@ class Gentleness:
 
     @property
     def worst_region(self) -> str | None:
-        """The region whose peaks (99 % quantile) are highest relative to its comfort limit; None if none is touched."""
+        """The region whose comfort limit is exceeded in most episodes; None if none is touched.
+
+        Among equals, the one whose peaks (99 % quantile) are highest relative to the limit. The quantile alone would not do: with
+        few episodes it is interpolated, and may be below the limit of the only region that exceeds it.
+        """
         if self.region_peaks is None or self.comfort is None:
             return None
-        shares = np.quantile(self.region_peaks, HIGH, axis=0) / self.comfort
-        return NAMES[int(shares.argmax())] if shares.max() > 0 else None
+        over = np.mean(self.region_peaks > self.comfort, axis=0)
+        relative = np.quantile(self.region_peaks, HIGH, axis=0) / self.comfort
+        worst = int(np.lexsort((relative, over))[-1])
+        return NAMES[worst] if self.region_peaks[:, worst].any() else None
 
     def of_region(self, name: str) -> tuple[float, float]:
         """Return the 99 % quantile of a region's peaks [N], and the fraction of episodes that exceed its comfort limit."""

@@ -50,14 +50,15 @@ def duration(seconds: float) -> str:
 
 
 class _Latest:
-    """The most recent values, because rows without finished episodes have none of their own."""
+    """The most recent values, because rows without finished episodes have none of their own; and the time left."""
 
     def __init__(self) -> None:
-        self.total = self.first = 0
+        self.total = 0
         self.known: dict[str, float] = {}
+        self._first: Mapping[str, Any] | None = None
 
-    def begin(self, done: int, total: int) -> None:
-        self.first, self.total = done, total
+    def begin(self, total: int) -> None:
+        self.total, self._first = total, None
 
     def words(self, row: Mapping[str, Any]) -> str:
         self.known |= {k: v for k, v in row.items() if v is not None}
@@ -74,7 +75,17 @@ class _Latest:
             parts.append(f"cost {row['cost']:.2g}  multiplier {row['multiplier']:.2g}")
         if row["nan_total"]:
             parts.append(f"NaN {row['nan_total']:.0f}")
+        left = self._left(row)
+        parts += [] if left is None else [f"left {duration(left)}"]
         return "  ".join(parts)
+
+    def _left(self, row: Mapping[str, Any]) -> float | None:
+        """Seconds left at the speed since the session's first row, whose time includes compilation; None in that row."""
+        if self._first is None:
+            self._first = row
+            return None
+        done = row["env_steps"] - self._first["env_steps"]
+        return (self.total - row["env_steps"]) * (row["seconds"] - self._first["seconds"]) / done
 
 
 class Lines:
@@ -86,7 +97,7 @@ class Lines:
 
     def start(self, done: int, total: int) -> None:
         """See ``Progress``."""
-        self._latest.begin(done, total)
+        self._latest.begin(total)
 
     def say(self, text: str) -> None:
         """See ``Progress``."""
@@ -99,10 +110,7 @@ class Lines:
         if now < self._next and row["env_steps"] < total:
             return
         self._next = now + self._period
-        steps = (total - row["env_steps"]) * row.get("num_seeds", 1)
-        left = steps / max(row["steps_per_second"], 1e-9)
-        share = row["env_steps"] / total
-        self.say(f"{row['env_steps']:>11,} steps {share:4.0%}  {words}  left {duration(left)}")
+        self.say(f"{row['env_steps']:>11,} steps {row['env_steps'] / total:4.0%}  {words}")
 
     def stop(self) -> None:
         """See ``Progress``."""
@@ -114,7 +122,6 @@ class Bar:
     def __init__(self) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
-        from rich.progress import TimeRemainingColumn as Remaining
 
         self._latest = _Latest()
         self._console = Console(highlight=False)
@@ -122,15 +129,13 @@ class Bar:
             BarColumn(bar_width=30),
             TaskProgressColumn(),
             TextColumn("{task.fields[words]}"),
-            TextColumn("left"),
-            Remaining(),
         )
         self._progress = Progress(*columns, console=self._console)
         self._task: Any = None
 
     def start(self, done: int, total: int) -> None:
         """See ``Progress``."""
-        self._latest.begin(done, total)
+        self._latest.begin(total)
         self._progress.start()
         self._task = self._progress.add_task("train", total=total, completed=done, words="")
 

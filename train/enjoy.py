@@ -8,7 +8,6 @@ fail.
 from __future__ import annotations
 
 import itertools
-import math
 import os
 import sys
 import time
@@ -26,6 +25,7 @@ from agym_jax.flags import Count, PolicyFlags, parse_flags
 from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.check import trained_otherwise
 from agym_jax.policy.files import find_policies, load_policies
+from agym_jax.rendering.clips import contact_sheet, evenly, write_clip
 from agym_jax.rendering.meshes import check_visuals
 from agym_jax.rendering.render import check_backend
 from agym_jax.sim.pictures import check_camera
@@ -251,7 +251,7 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
         lasts.append(last)
         if config.clip or config.sheet:
             if not config.clip:  # a sheet shows twenty of them
-                frames = frames[:: math.ceil(len(frames) / SHEET_PICTURES)]
+                frames = [frames[i] for i in evenly(len(frames), SHEET_PICTURES)]
             pictures += film(env, frames, config)
             labels += [caption(frame) for frame in frames]
     if len(lasts) < config.episodes:
@@ -263,13 +263,10 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
         if not lasts:
             raise ConfigError(f"{few} Try another --seed, or --ending any.")
         print(few)
-    if config.clip or config.sheet:
-        from agym_jax.rendering.clips import contact_sheet, write_clip
-
-        if config.clip:
-            print(f"Film: {write_clip(pictures, config.clip, fps=round(1 / env.dt))}")
-        if config.sheet:
-            print(f"Pictures: {contact_sheet(pictures, config.sheet, labels=labels)}")
+    if config.clip:
+        print(f"Film: {write_clip(pictures, config.clip, fps=round(1 / env.dt))}")
+    if config.sheet:
+        print(f"Pictures: {contact_sheet(pictures, config.sheet, labels=labels)}")
     return lasts
 
 

@@ -134,6 +134,11 @@ def _write_gif(frames: list[np.ndarray], path: Path, fps: float) -> None:
     )
 
 
+def evenly(count: int, most: int) -> list[int]:
+    """Return at most ``most`` indices spread evenly over ``count`` frames, including the first and the last."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()
+
+
 def contact_sheet(
     frames: Sequence[np.ndarray],
     path: str | os.PathLike[str],
@@ -147,7 +152,7 @@ def contact_sheet(
         frames: images, uint8 (height, width, 3), all of one size.
         path: ends in .png.
         columns: frames per row.
-        every: stride between frames; None chooses it so that there are at most four rows.
+        every: stride between frames; None spreads four rows evenly from the first frame to the last.
         labels: captions of ``frames``; None numbers them.
 
     Returns:
@@ -158,8 +163,7 @@ def contact_sheet(
     if labels is not None and len(labels) != len(frames):
         raise FrameError(f"There are {len(frames)} frames but {len(labels)} labels.")
     image, pen = _import_extra("PIL.Image", ""), _import_extra("PIL.ImageDraw", "")
-    every = every or max(1, math.ceil(len(frames) / (4 * columns)))
-    picks = range(0, len(frames), every)
+    picks = range(0, len(frames), every) if every else evenly(len(frames), 4 * columns)
     height, width, _ = frames[0].shape
     caption, gap = 16, 4
     columns = min(columns, len(picks))

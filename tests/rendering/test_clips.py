@@ -79,6 +79,22 @@ def test_contact_sheet_round_trip(tmp_path):
         assert sheet.size == (3 * 68 + 4, 48 + 20 + 4)
 
 
+def test_contact_sheet_is_full_and_shows_the_first_and_the_last_frame(tmp_path):
+    frames = [np.full((8, 8, 3), i, np.uint8) for i in range(201)]
+    with Image.open(clips.contact_sheet(frames, tmp_path / "sheet.png")) as sheet:
+        cells = np.asarray(sheet)[20 :: 8 + 20, 4 :: 8 + 4, 0]
+    assert cells.shape == (4, 5) and (cells[0, 0], cells[-1, -1]) == (0, 200)
+    strides = np.diff(cells.ravel().astype(int))
+    assert set(strides.tolist()) == {10, 11}
+
+
+@pytest.mark.parametrize(("count", "most"), [(1, 20), (19, 20), (20, 20), (21, 20), (39, 20)])
+def test_evenly_chosen_frames_differ_and_include_both_ends(count, most):
+    picks = clips.evenly(count, most)
+    assert len(set(picks)) == len(picks) == min(count, most)
+    assert (picks[0], picks[-1]) == (0, count - 1)
+
+
 @pytest.mark.parametrize("write", [clips.write_clip, clips.contact_sheet])
 def test_unwritable_folder_is_refused_before_encoding(tmp_path, write):
     (tmp_path / "file").write_text("not a folder")

@@ -224,6 +224,17 @@ def test_enjoy_shows_an_episode(tmp_path, capsys):
     assert capsys.readouterr().out == out  # the seed decides
 
 
+def test_a_sheet_shows_twenty_moments_from_the_first_to_the_last(tmp_path, monkeypatch):
+    shown = []
+    monkeypatch.setattr(enjoy, "film", lambda env, frames, *_: shown.extend(frames) or [None])
+    monkeypatch.setattr(enjoy, "contact_sheet", lambda *_, labels: shown.append(labels))
+    words = f"--env-name FakeReach-v0 --policy random --sheet {tmp_path / 'a.png'}"
+    assert enjoy.main(words.split(), lambda *_: FakeEnv(episode_length=50)) == 0
+    *frames, labels = shown
+    assert [frames[0].step, frames[-1].step] == [0, 50] and len(frames) == 20
+    assert len(labels) == 20 and labels[-1].startswith("step 50 ")
+
+
 @pytest.mark.parametrize("ending", ["success", "failure", "rough"])
 def test_enjoy_shows_only_episodes_that_end_so(ending, monkeypatch):
     def finger(newtons):

@@ -133,6 +133,10 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'agym_jax' has no attribute {name!r}")
 
 
+def __dir__() -> list[str]:
+    return sorted({*__all__, "__version__"})
+
+
 def register_envs() -> None:
     """Register every id with Gymnasium's ``make`` and ``make_vec``.
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import importlib.util
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -49,6 +50,10 @@ COMMANDS = {
 }  # fmt: skip
 """Command -> module with its ``main`` (empty if it is in this module), and its description."""
 ALIASES = {"ppo": "train"}
+TAKES_ENV_NAME = ("train", "ppo", "coop", "evaluate", "enjoy", "crossplay", "sweep")
+"""Commands that know their environment by ``--env-name``, and may be given its id first."""
+PIPE_CLOSED = 141
+"""Exit status of a program whose output nobody reads any more, as a shell has it."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -78,9 +83,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not run.__module__.startswith(TRAINER):
         raise_again()  # the trainer does when it begins
     try:
-        return run(words[1:], prog=f"{prog} {name}")
+        return run(with_flag(name, words[1:]), prog=f"{prog} {name}")
     except KeyboardInterrupt:
         return INTERRUPTED
+    except BrokenPipeError:  # of `agym-jax ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE_CLOSED
+
+
+def with_flag(command: str, words: list[str]) -> list[str]:
+    """Return the arguments of a command, with the flag before an id that comes first: ``agym-jax train ScratchItchJaco-v0``."""
+    first = words[0] if words else "-"
+    named = command in TAKES_ENV_NAME and not first.startswith("-")
+    return ["--env-name", *words] if named else words
 
 
 def program_name(path: str) -> str:
@@ -154,7 +169,11 @@ def list_ids(argv: Sequence[str] | None = None, prog: str = "agym-jax list") -> 
     parser = argparse.ArgumentParser(prog=prog, description="Print the environment ids.")
     parser.add_argument("part", nargs="?", default="", help="print only ids that contain this text")
     part = parser.parse_args(argv).part
-    print("\n".join(name for name in agym_jax.list_envs() if part.lower() in name.lower()))
+    ids = [name for name in agym_jax.list_envs() if part.lower() in name.lower()]
+    if not ids:
+        print(f"No environment id contains {part!r}; {prog} lists them all.", file=sys.stderr)
+        return 1
+    print("\n".join(ids))
     return 0
 
 

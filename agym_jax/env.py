@@ -99,6 +99,10 @@ class AssistiveEnv:
         if not self.native_rows:
             _introduce_to_brax()
 
+    def __repr__(self) -> str:
+        changed = f", {len(self.changes)} settings changed" if self.changes else ""
+        return f"AssistiveEnv({self.name!r}, impl={self.impl!r}{changed})"
+
     # -- sizes ---------------------------------------------------------------------------------
 
     @property

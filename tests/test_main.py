@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import re
 import subprocess
 import sys
@@ -48,6 +49,39 @@ def test_no_command_is_help_and_a_failure(capsys: pytest.CaptureFixture):
     assert "commands:" in capsys.readouterr().out
     assert cli.main(["--version"]) == 0
     assert capsys.readouterr().out.strip() == agym_jax.__version__
+
+
+def test_list_says_when_no_id_contains_a_text(capsys: pytest.CaptureFixture):
+    assert cli.main(["list", "zzz"]) == 1
+    assert "No environment id contains 'zzz'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "becomes"),
+    [
+        ("train", ["A-v0", "--seed", "1"], ["--env-name", "A-v0", "--seed", "1"]),
+        ("evaluate", ["--env-name", "A-v0"], ["--env-name", "A-v0"]),
+        ("view", ["A-v0"], ["A-v0"]),
+        ("select", ["runs/A-v0"], ["runs/A-v0"]),
+        ("train", [], []),
+    ],
+)
+def test_an_id_may_come_first(command, words, becomes):
+    assert cli.with_flag(command, words) == becomes
+
+
+def test_output_that_nobody_reads_any_more_is_no_error(tmp_path: Path):
+    code = (
+        "import sys; from agym_jax import __main__ as cli; "
+        "cli.find = lambda name: (lambda words, prog: [print('x' * 99, flush=True) for _ in range(99999)]); "
+        "sys.exit(cli.main(['list']))"
+    )
+    done = subprocess.run(
+        ["bash", "-c", f'"{sys.executable}" -c "$0" | head -1; exit ${{PIPESTATUS[0]}}', code],
+        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=PROCESS_SECONDS,
+        env={"PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"], "JAX_PLATFORMS": "cpu", "HOME": str(tmp_path)},
+    )  # fmt: skip
+    assert done.returncode == cli.PIPE_CLOSED and done.stderr == "", done.stderr
 
 
 def test_an_unknown_command_says_what_is_near(capsys: pytest.CaptureFixture):

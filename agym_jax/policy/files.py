@@ -37,7 +37,7 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
     """
     text = str(source).removeprefix("agym_jax/")
     if isinstance(source, Path) or "/" in text or "\\" in text or text.endswith(".npz"):
-        files = _files_at(Path(source))
+        files = _files_at(Path(source), None if env is None else env.name)
     else:
         files = find_policies(text)
     robot = read_policy(files.robot)
@@ -52,10 +52,14 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
     return Pair(robot, human, robot.arch.observation_size)
 
 
-def _files_at(path: Path) -> PolicyFiles:
-    """Return the policies in a file or in the folder of a run."""
+def _files_at(path: Path, env_name: str | None) -> PolicyFiles:
+    """Return the policies in a file, in the folder of a run, or in the ``--save-dir`` of an environment's run."""
     if not path.is_dir():
         return PolicyFiles(str(path), None)
+    if env_name and (path / env_name).is_dir():
+        path = path / env_name
+    if not run_file(path, "robot").is_file() and _seeds(path):
+        raise _unchosen(path)
     human = run_file(path, "human")
     return PolicyFiles(str(run_file(path, "robot")), str(human) if human.is_file() else None)
 
@@ -67,6 +71,27 @@ def run_file(folder: Path, agent: str) -> Path:
     return former if former.is_file() and not path.is_file() else path
 
 
+def run_folder(load_dir: Path | str, env_name: str) -> Path:
+    """Return the folder of an environment's run: ``load_dir/<env>``, or ``load_dir`` if it is that folder already."""
+    folder = Path(load_dir)
+    inside = folder / env_name
+    return folder if folder.name == env_name and not inside.is_dir() else inside
+
+
+def _seeds(run: Path) -> list[Path]:
+    """Return the policies of the seeds of a run that had several."""
+    return sorted(run.glob(f"seed_*/{FILE_NAMES['robot']}"))
+
+
+def _unchosen(run: Path) -> PolicyNotFoundError:
+    """Make an error that says how to choose one of a run's seeds."""
+    seeds = _seeds(run)
+    return PolicyNotFoundError(
+        f"{str(run)!r} is a run with {len(seeds)} seeds, of which none has been chosen yet. Choose one: agym-jax select "
+        f"{run}; or use one of them: --policy {seeds[0]}."
+    )
+
+
 def find_policy(
     env_name: str, load_dir: Path | str | None = None, policy: Path | str | None = None
 ) -> Path:
@@ -74,7 +99,7 @@ def find_policy(
 
     Args:
         env_name: environment id.
-        load_dir: ``--save-dir`` of a training run; selects its ``<env>/policy.npz``.
+        load_dir: ``--save-dir`` of a training run, or the run's own folder in it; selects ``<env>/policy.npz``.
         policy: a policy file, which takes precedence over ``load_dir``.
 
     Returns:
@@ -89,12 +114,15 @@ def find_policy(
             raise not_found(Path(policy))
         return Path(policy)
     if load_dir is not None:
-        path = run_file(Path(load_dir) / env_name, "robot")
+        run = run_folder(load_dir, env_name)
+        path = run_file(run, "robot")
         if not path.is_file():
-            there = [p.parent.name for p in Path(load_dir).glob(f"*/{path.name}")]
+            if _seeds(run):
+                raise _unchosen(run)
+            there = [p.parent.name for p in run.parent.glob(f"*/{path.name}")]
             raise PolicyNotFoundError(
                 f"No policy for {env_name!r} in {str(load_dir)!r} (looked for {path}). "
-                f"{did_you_mean(env_name, there)} {train} --save-dir {load_dir}"
+                f"{did_you_mean(env_name, there)} {train} --save-dir {run.parent}"
             )
         return path
     try:
@@ -123,7 +151,7 @@ def find_policies(
 
     Args:
         env_name: environment id.
-        load_dir: ``--save-dir`` of a training run.
+        load_dir: ``--save-dir`` of a training run, or the run's own folder in it.
         policy: policy of the robot (or of both agents together): a file or a baseline, which takes precedence over
             ``load_dir``.
         human_policy: the same for the person.
@@ -146,7 +174,7 @@ def find_policies(
     if human is None and acts and policy is None:
         beside = asset_root() / "policies" / "human" / f"{plain}.npz"
         if load_dir is not None:
-            beside = run_file(Path(load_dir) / plain, "human")
+            beside = run_file(run_folder(load_dir, plain), "human")
         human = str(beside) if beside.is_file() else None
     return PolicyFiles(str(robot), human)
 

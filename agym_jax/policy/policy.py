@@ -59,6 +59,13 @@ class Policy:
     arch: Architecture
     info: Mapping[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        about = (self.info.get("env"), self.info.get("agent"))
+        known = "".join(f"{x}, " for x in about if x)
+        steps = self.info.get("env_steps")
+        trained = f", {steps:,} steps" if isinstance(steps, int) else ""
+        return f"Policy({known}{self.arch.observation_size} -> {self.arch.action_size}{trained})"
+
     def __call__(
         self, obs: jax.Array, key: jax.Array | None = None, deterministic: bool = True
     ) -> jax.Array:
@@ -73,8 +80,12 @@ class Policy:
             Action in [-1, 1]    (..., action).
 
         Raises:
-            ValueError: if a sample is requested without a key.
+            ValueError: if a sample is requested without a key, or the observation has another size.
         """
+        if jnp.shape(obs)[-1:] != (self.arch.observation_size,):
+            raise ValueError(
+                f"This policy takes observations of shape (..., {self.arch.observation_size}), got {jnp.shape(obs)}."
+            )
         networks = make_networks(self.arch)
         normalizer = NestedMeanStd(mean=self.mean, std=self.std)
         if deterministic:
@@ -202,4 +213,6 @@ def not_found(path: Path) -> PolicyNotFoundError:
     near = sorted(p.name for p in folder.glob("*.npz")) if folder.is_dir() else []
     text = f"No policy {str(path)!r}. "
     text += f"In its folder: {did_you_mean(path.name, near)} " if near else ""
-    return PolicyNotFoundError(text + f"Shipped policies: {did_you_mean(path.stem, shipped())}")
+    return PolicyNotFoundError(
+        f"{text}Policies ship for these ids. {did_you_mean(path.stem, shipped())}"
+    )

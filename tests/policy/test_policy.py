@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -77,7 +78,7 @@ def test_the_mode_of_a_gaussian_is_clipped_not_squashed():
 
 def test_a_missing_policy_lists_what_is_there(tmp_path, policy):
     save_policy(tmp_path / "reach.npz", policy)
-    with pytest.raises(PolicyNotFoundError, match=r"raech.npz.*Did you mean 'reach.npz'.*Shipped"):
+    with pytest.raises(PolicyNotFoundError, match=r"raech.npz.*Did you mean 'reach.npz'.*ship for"):
         load_policy(tmp_path / "raech.npz")
     save_policy(tmp_path / "FakeReach-v0" / "policy.npz", policy)
     assert find_policy("FakeReach-v0", tmp_path).is_file()
@@ -88,6 +89,34 @@ def test_a_missing_policy_lists_what_is_there(tmp_path, policy):
         PolicyNotFoundError, match=r"ships no policy for 'FakeReach-v0'.*agym-jax train"
     ):
         find_policy("FakeReach-v0")
+
+
+def test_a_run_is_known_by_its_folder_or_the_one_around_it(tmp_path, policy):
+    run = tmp_path / "FakeReach-v0"
+    save_policy(run / "policy.npz", policy)
+    for folder in (tmp_path, run):
+        assert find_policy("FakeReach-v0", folder) == run / "policy.npz"
+    assert load_policy(run).arch == policy.arch
+    assert load_policy(tmp_path, FakeEnv()).arch == policy.arch
+
+
+def test_a_run_of_several_seeds_says_that_one_is_to_be_chosen(tmp_path, policy):
+    run = tmp_path / "FakeReach-v0"
+    for seed in (1, 2):
+        save_policy(run / f"seed_{seed}" / "policy.npz", policy)
+    text = rf"2 seeds, .*agym-jax select {run}; .*--policy {run}/seed_1/policy.npz"
+    with pytest.raises(PolicyNotFoundError, match=text):
+        find_policy("FakeReach-v0", tmp_path)
+    with pytest.raises(PolicyNotFoundError, match=text):
+        load_policy(run)
+
+
+def test_a_policy_says_what_it_is_and_what_it_takes(policy):
+    said = repr(policy)
+    assert re.fullmatch(r"Policy\(FakeReach-v0, \d+ -> 2\)", said), said
+    size = policy.arch.observation_size
+    with pytest.raises(ValueError, match=rf"\(\.\.\., {size}\), got \({size + 1},\)"):
+        policy(jnp.zeros(size + 1))
 
 
 SHIPPED = sorted((asset_root() / "policies").glob("*.npz"))

@@ -24,6 +24,7 @@ from train.learning.agents import Agents
 from train.learning.execution import StepwiseEnv
 from train.learning.rollout import collect, critic_obs, init_rollout
 from train.learning.seeds import SideBySide, lane_keys, lanes_of
+from train.runs.result import summary
 
 SETTINGS = {
     "num_env_steps": 320 * 6,
@@ -108,7 +109,11 @@ def test_files_of_each_seed_and_a_run_resumed_whole(tmp_path):
     second = ppo.train(FakeEnv(), config)
     assert second.env_steps == config.num_env_steps
     assert second.session_steps == 2 * (second.env_steps - first.env_steps)
+    assert "agym-jax select" not in summary(first)  # it is not finished
     folder = tmp_path / "FakeReach-v0"
+    assert summary(second).endswith(
+        f"policy: {folder / 'seed_N'}\nChoose a seed: agym-jax select {folder}"
+    )
     assert (folder / "curve.png").stat().st_size > 10_000 and not (folder / "policy.npz").exists()
     for found in second.seeds:
         rows = (folder / found.name / "curve.jsonl").read_text().splitlines()

@@ -66,4 +66,6 @@ def test_the_command_writes_the_ranking(tmp_path, capsys):
     ranked = json.loads((tmp_path / "FakeReach-v0" / "sweep.json").read_text())
     assert {x["setting"]["lr"] for x in ranked} == {1e-4, 1e-3}
     assert (tmp_path / "FakeReach-v0" / "lr=0.0001" / "seed_2" / "policy.npz").is_file()
-    assert "worst seed" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    folder = tmp_path / "FakeReach-v0" / "SETTING"
+    assert "worst seed" in out and f"Choose a seed: agym-jax select {folder}\n" in out

@@ -112,6 +112,17 @@ def summary(result: TrainResult) -> str:
     for seed in result.seeds:
         text += f"\n{seed.name} was stopped: it diverged {seed.stopped}." if seed.stopped else ""
     if result.folder:
-        what = "Policy" if len(result.policies) == 1 else "Policies"
-        text += f"\n{what}, curve.png, curve.jsonl, checkpoints: {result.folder}"
+        text += f"\n{_files(result, result.folder)}"
     return text
+
+
+def _files(result: TrainResult, folder: Path) -> str:
+    """Say where the files are; and, at the end of a run with several seeds, how to choose one."""
+    if len(result.seeds) == 1:
+        what = "Policy" if len(result.policies) == 1 else "Policies"
+        return f"{what}, curve.png, curve.jsonl, checkpoints: {folder}"
+    run = folder / "SETTING" if "/" in result.seeds[0].name else folder  # one of a sweep's, or all
+    text = f"curve.png, curve.jsonl, checkpoints: {folder}; each seed's policy: {run / 'seed_N'}"
+    if result.interrupted or result.unsaved:
+        return text
+    return f"{text}\nChoose a seed: agym-jax select {run}"

@@ -33,6 +33,7 @@ from agym_jax.sim.pictures import check_camera
 from .envs import jit_functions, make_env
 from .errors import ConfigError, reports_errors
 from .learning.rollout import COMFORT_KEY, FORCE_KEY
+from .runs.progress import LINE_PERIOD
 
 SHEET_PICTURES = 20
 LOOK_THROUGH = 300
@@ -114,6 +115,41 @@ class Frame:
     of_comfort: float = 0.0
 
 
+class Notice:
+    """Shows how far a search is, on standard error: in place in a terminal, otherwise one line every ten seconds.
+
+    Used in a ``with`` statement, whose end removes what is shown in place.
+    """
+
+    def __init__(self) -> None:
+        self._next = time.monotonic()
+        self._width = 0
+
+    def __call__(self, text: str) -> None:
+        """Show a text, which replaces the one before."""
+        now = time.monotonic()
+        if now < self._next:
+            return
+        if sys.stderr.isatty():
+            print(f"\r{text:<{self._width}}", end="", file=sys.stderr, flush=True)
+            self._width = len(text)
+        else:
+            print(text, file=sys.stderr, flush=True)
+            self._next = now + LINE_PERIOD
+
+    def clear(self) -> None:
+        """Remove what is shown in place."""
+        if self._width:
+            print(f"\r{'':{self._width}}\r", end="", file=sys.stderr, flush=True)
+            self._width = 0
+
+    def __enter__(self) -> Notice:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.clear()
+
+
 class Player:
     """Plays episodes of one environment; compiles only once."""
 
@@ -150,14 +186,13 @@ class Player:
         if ending == "any":
             for number in itertools.count(seed):
                 yield number, self.episode(number)
-        for number in range(seed, seed + LOOK_THROUGH):
-            if sys.stderr.isatty():
-                print(f"\rsearching: seed {number} ", end="", file=sys.stderr, flush=True)
-            frames = list(self.episode(number))
-            if ends_so(frames, ending):
-                if sys.stderr.isatty():
-                    print("\r" + " " * 30 + "\r", end="", file=sys.stderr, flush=True)
-                yield number, iter(frames)
+        with Notice() as notice:
+            for number in range(seed, seed + LOOK_THROUGH):
+                notice(f"Looking at seed {number}")
+                frames = list(self.episode(number))
+                if ends_so(frames, ending):
+                    notice.clear()
+                    yield number, iter(frames)
 
 
 def ends_so(frames: Sequence[Frame], ending: Ending) -> bool:
@@ -256,13 +291,14 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
             labels += [caption(frame) for frame in frames]
     if len(lasts) < config.episodes:
         words = "rough" if config.ending == "rough" else f"a {config.ending}"
-        seeds = f"the seeds {config.seed} to {config.seed + LOOK_THROUGH - 1}"
-        few = (
-            f"{len(lasts)} of {config.episodes} episodes found: among {seeds}, no other is {words}."
-        )
+        seeds = f"seeds {config.seed} to {config.seed + LOOK_THROUGH - 1} is {words}."
         if not lasts:
-            raise ConfigError(f"{few} Try another --seed, or --ending any.")
-        print(few)
+            raise ConfigError(
+                f"None of the {LOOK_THROUGH} episodes with {seeds} Try another --seed, or --ending any."
+            )
+        print(
+            f"{len(lasts)} of {config.episodes} found: no other of the {LOOK_THROUGH} episodes with {seeds}"
+        )
     if config.clip:
         print(f"Film: {write_clip(pictures, config.clip, fps=round(1 / env.dt))}")
     if config.sheet:

@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
+import sys
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -255,14 +258,29 @@ def test_enjoy_keeps_what_it_has_found(tmp_path, monkeypatch, capsys):
     words = f"--env-name FakeReach-v0 --policy random --episodes 3 --clip {film} --ending failure"
     words += " --width 64 --height 48 --backend raycast"
     assert enjoy.main(words.split(), lambda *_: FakeEnv(episode_length=6)) == 0
-    assert (
-        "2 of 3 episodes found: among the seeds 1001 to 1002, no other is a failure"
-        in capsys.readouterr().out
-    )
+    said = "2 of 3 found: no other of the 2 episodes with seeds 1001 to 1002 is a failure.\n"
+    assert said in capsys.readouterr().out
     assert film.is_file()
     words = words.replace("failure", "success")
     assert enjoy.main(words.split(), lambda *_: FakeEnv(episode_length=6)) == 2
-    assert "0 of 3 episodes found" in (said := capsys.readouterr().err) and "--ending any" in said
+    said = "None of the 2 episodes with seeds 1001 to 1002 is a success. Try another --seed, or --ending any."
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_search_shows_the_seed_it_looks_at(terminal, monkeypatch, capsys):
+    seconds = itertools.count(0, 4)  # each episode takes 4 s
+    monkeypatch.setattr(enjoy, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    monkeypatch.setattr(enjoy, "LOOK_THROUGH", 5)
+    monkeypatch.setattr(enjoy.Player, "episode", lambda *_: [SimpleNamespace(success=True)])
+    player = enjoy.Player(FakeEnv(), baseline_policy("zero", 2))
+    assert list(player.episodes(1001, "failure")) == []
+    said = capsys.readouterr().err
+    if terminal:
+        assert said.count("\rLooking at seed 100") == 5 and said.endswith(f"\r{' ' * 20}\r")
+    else:
+        assert said == "Looking at seed 1001\nLooking at seed 1004\n"
 
 
 def test_enjoy_refuses_a_wrong_suffix_at_once(capsys):

@@ -156,13 +156,14 @@ def test_on_log_can_stop_a_run_which_then_goes_on(tmp_path):
 
     result = train(FakeEnv(), config, on_log=stop_at_third)
     assert result.interrupted and seen == [80, 160, 240] and result.env_steps == 240
-    assert "stopped at 240" in summary(result)
+    assert "stopped at 240" in summary(result) and "(at step" not in summary(result)
 
     def interrupt(row, policy):
         raise KeyboardInterrupt
 
     again = train(FakeEnv(), config, on_log=interrupt)
     assert again.interrupted and again.env_steps == 320
+    assert again.curve[-1]["return"] is None and " N (at step 240). Compiled" in summary(again)
     kept = load_newest(
         tmp_path / "FakeReach-v0" / "checkpoints", jax.eval_shape(lambda: again.learner), {}
     )

@@ -84,7 +84,12 @@ class TrainResult:
 
     def last(self, name: str) -> float | None:
         """Return the last known value of a column of the curve."""
-        return next((row[name] for row in reversed(self.curve) if row.get(name) is not None), None)
+        row = self.last_row(name)
+        return None if row is None else row[name]
+
+    def last_row(self, name: str) -> Row | None:
+        """Return the last row of the curve in which a column is known."""
+        return next((row for row in reversed(self.curve) if row.get(name) is not None), None)
 
 
 def summary(result: TrainResult) -> str:
@@ -103,9 +108,12 @@ def summary(result: TrainResult) -> str:
     if len(result.seeds) > 1:
         seeds = f" with each of {len(result.seeds)} seeds"
         spread = f" ({shown('success_min', '.0%')} to {shown('success_max', '.0%')})"
+    ended = result.last_row("return")  # the last one in which episodes ended
+    older = ended and ended["env_steps"] < result.env_steps
+    at = f" (at step {ended['env_steps']:,})" if older else ""
     text = (
         f"{config.env_name}: {word} {result.env_steps:,} steps{seeds}, return {shown('return', '.1f')}, "
-        f"success {shown('success', '.0%')}{spread}{gentle}, force {shown('force', '.2f')} N{nan}. "
+        f"success {shown('success', '.0%')}{spread}{gentle}, force {shown('force', '.2f')} N{at}{nan}. "
         f"Compiled in {duration(result.compile_seconds)}, trained {result.session_steps:,} steps "
         f"in {duration(result.train_seconds)} ({result.steps_per_second:,.0f} steps/s)."
     )

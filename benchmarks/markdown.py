@@ -25,6 +25,15 @@ TASK_SINCE = {
 """The same of ids that begin so and changed since, the latest counts: what one-armed robots observe in ArmManipulation; Jaco's
 third link and the front of its nightstand; Dressing's start and gown; links of arms that meet every limb, where episodes of
 policies that ship are not the same as before."""
+CHANGES = {
+    PHYSICS_SINCE: "starts, motors, muscles, friction, the bed, heads and what a robot may touch, as in Assistive Gym",
+    "2026-11-23T07:40": "what one-armed robots observe in ArmManipulation; the start and the gown of Dressing",
+    "2026-11-23T11:10": "Jaco's third link and the front of its nightstand",
+    _LINKS: "every link of a robot's arm meets every limb of the task; the environments in which episodes of the shipped policies changed",
+}
+"""What changed at each of these times."""
+DATES = "benchmarks.md#changes-of-the-physics"
+"""Where ``dates`` is, from other pages of the documentation."""
 EARLIER = "†"
 THEIRS = "assistive-gym"
 """The implementation that lines of Assistive Gym's own speed name."""
@@ -74,19 +83,24 @@ def about(lines: Sequence[Line]) -> str:
     days = sorted({line["time"][:10] for line in lines if "time" in line})
     when = f"; {' to '.join(dict.fromkeys([days[0], days[-1]]))}" if days else ""
     earlier = [is_earlier(line) for line in lines]
-    since: dict[str, set[str]] = {PHYSICS_SINCE: set()}
-    for name, changed in (x for line in lines for x in _own_changes(line).items()):
-        since.setdefault(changed, set()).add(name)
-    day = "; ".join(
-        f"{', '.join(sorted(names))} {time.replace('T', ', ')} UTC".strip()
-        for time, names in sorted(since.items())
-    )
-    before = ""
+    before, present = "", f"before the present physics** ([dates]({DATES}))."
     if all(earlier) and earlier:
-        before = f" **Measured before the present physics** (since {day})."
+        before = f" **Measured {present}"
     elif any(earlier):
-        before = f" {EARLIER} **measured before the present physics** (since {day})."
+        before = f" {EARLIER} **measured {present}"
     return f"{', '.join(kinds)}; commit {', '.join(commits)}{when}.{before}"
+
+
+def dates(folder: Path = RESULTS) -> str:
+    """A Markdown table of the changes of the physics that made earlier figures wrong."""
+    names: dict[str, list[str]] = {PHYSICS_SINCE: ["all"]}
+    for name, time in TASK_SINCE.items():
+        names.setdefault(time, []).append(name)
+    rows = [
+        f"| {time.replace('T', ', ')} | {', '.join(sorted(names[time]))} | {what} |"
+        for time, what in sorted(CHANGES.items())
+    ]
+    return "\n".join(["| since (UTC) | environments | what changed |", "|---|---|---|", *rows])
 
 
 def mark(lines: Sequence[Line]) -> Callable[[Line], str]:

@@ -14,12 +14,13 @@ from pathlib import Path
 from benchmarks import (
     care_tables,
     cpu_tables,
+    markdown,
     physics_tables,
     policy_tables,
     speed_tables,
     training_tables,
 )
-from benchmarks.markdown import RESULTS
+from benchmarks.markdown import DATES, RESULTS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (
@@ -33,6 +34,7 @@ class TableError(ValueError):
 
 
 TABLES: dict[str, Callable[..., str]] = {
+    "dates": markdown.dates,
     "success": policy_tables.success,
     "speed": speed_tables.speed,
     "training": training_tables.training,
@@ -92,12 +94,14 @@ def page(text: str, commits: bool = True) -> str:
 
     Args:
         text: of the page.
-        commits: whether its tables name the commits with which they were measured.
+        commits: whether its tables name the commits with which they were measured; they do in all pages but the README, which
+            lies outside of the documentation's folder.
 
     Raises:
         TableError: see ``fill``.
     """
     made = fill(text)
+    made = made if commits else made.replace(f"({DATES})", f"(docs/{DATES})")
     return made if commits else re.sub(r"; commit [0-9a-f]{7,}(, [0-9a-f]{7,})*(?=[;.])", "", made)
 
 

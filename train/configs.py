@@ -273,10 +273,17 @@ def parse_arguments(
     return tyro.cli(
         kind,
         prog=prog,
-        description=f"{does} Rerunning the same command resumes an interrupted run.",
+        description=f"{does} Rerunning the same command resumes an interrupted run. Defaults and --task flags below are "
+        f"those of the environment named by --env-name ({kind.env_name} if it is left out); add --env-name ID before "
+        f"--help to see those of another one.",
         args=list(arguments),
         default=config_for(env_name_in(arguments, kind.env_name), kind, platform),
     )
+
+
+def first_paragraph(doc: str | None) -> str:
+    """Return the first paragraph of a module's docstring as the description of a command."""
+    return (doc or "").partition("\n\n")[0].replace("``", "")
 
 
 def resolve(config: Config, platform: str, devices: int = 1) -> Config:

@@ -24,6 +24,7 @@ from agym_jax.policy.files import find_policy, load_agent, run_file
 from agym_jax.policy.policy import Policy
 from agym_jax.registry import static_id
 
+from .configs import first_paragraph
 from .envs import changed, make_env, refuse_static_human
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
@@ -184,7 +185,8 @@ def main(
     prog: str = f"python -m {__package__}.crossplay",
 ) -> int:
     """Run the command line and return the exit status."""
-    config = tyro.cli(CrossplayConfig, prog=prog, args=arguments)
+    description = first_paragraph(__doc__)
+    config = tyro.cli(CrossplayConfig, prog=prog, args=arguments, description=description)
     run(config, make)
     return 0
 

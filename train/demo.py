@@ -28,7 +28,7 @@ from agym_jax.flags import Count
 from agym_jax.policy.agents import baseline_policy
 from agym_jax.policy.files import PolicyFiles, find_policy, load_policies
 
-from .configs import config_for
+from .configs import config_for, first_paragraph
 from .enjoy import Frame, caption
 from .envs import make_env
 from .errors import reports_errors
@@ -203,7 +203,8 @@ def main(
     prog: str = f"python -m {__package__}.demo",
 ) -> int:
     """Run the command line and return the exit status."""
-    config = tyro.cli(DemoConfig, prog=prog, args=arguments)
+    description = first_paragraph(__doc__)
+    config = tyro.cli(DemoConfig, prog=prog, args=arguments, description=description)
     jax.config.update("jax_platforms", "cpu")
     run(config, make)
     return 0

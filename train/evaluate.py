@@ -21,6 +21,7 @@ from agym_jax.policy.agents import BASELINES, AnyPolicy, baseline_policy
 from agym_jax.policy.check import trained_otherwise
 from agym_jax.policy.files import find_policies, load_policies
 
+from .configs import first_paragraph
 from .envs import changed, make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
@@ -89,7 +90,7 @@ def main(
     prog: str = f"python -m {__package__}.evaluate",
 ) -> int:
     """Run the command line and return the exit status."""
-    config = parse_flags(EvaluateConfig, arguments, prog)
+    config = parse_flags(EvaluateConfig, arguments, prog, first_paragraph(__doc__))
     if config.json:
         check_writable(Path(config.json).parent, "Choose another file with --json.")
     env = make(

@@ -14,8 +14,8 @@ from agym_jax.flags import EnvFlags, parse_flags
 from agym_jax.policy.policy import read_policy
 from agym_jax.tasks.scratch_itch import Config
 from agym_jax.viewer.command import ViewConfig
-from train import evaluate, ppo, select
-from train.configs import PPOConfig, config_for, parse_arguments
+from train import coop, crossplay, demo, evaluate, ppo, select
+from train.configs import CoopConfig, PPOConfig, config_for, parse_arguments
 from train.enjoy import EnjoyConfig
 from train.errors import CheckpointMismatchError
 from train.evaluate import EvaluateConfig
@@ -59,6 +59,27 @@ def test_the_trainers_have_them_beside_their_own():
     assert config_for("ReachingJaco-v0").options() == {}
     other = parse_arguments(["--env-name", "FeedingPR2-v0", "--task.eaten", "5"])
     assert other.task.eaten == 5.0 and set(other.options()) == {"config"}
+
+
+@pytest.mark.parametrize("main", [ppo.main, coop.main])
+def test_the_help_of_trainers_says_whose_defaults_it_shows(main, capsys):
+    with pytest.raises(SystemExit):
+        main(["--env-name", "FeedingPR2-v0", "--help"])
+    out = capsys.readouterr().out
+    words = " ".join(out.split())
+    usual = CoopConfig.env_name if main is coop.main else PPOConfig.env_name
+    assert f"those of the environment named by --env-name ({usual} if it is left out)" in words
+    assert "add --env-name ID before --help" in words and "--task.eaten" in out
+
+
+@pytest.mark.parametrize("module", [evaluate, crossplay, demo])
+def test_the_help_of_a_command_says_what_it_does(module, capsys):
+    with pytest.raises(SystemExit):
+        module.main(["--help"])
+    words = " ".join(capsys.readouterr().out.split())
+    does = module.__doc__.partition(":")[0]
+    assert f"{does}: agym-jax {module.__name__.removeprefix('train.')}" in words
+    assert "Flags of ``agym-jax" not in words
 
 
 def test_settings_of_another_task_are_no_flags(capsys):

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import jax
+import numpy as np
 import tyro
 
 from agym_jax.data.npz import check_writable
@@ -26,6 +27,9 @@ from .evaluation.seed_scores import SeedScores, score_seeds
 from .evaluation.statistics import improvement_interval, probability_of_improvement
 from .runs.record import append_record, record
 from .select import load_seeds
+
+MORE = {"successes": "more successes", "returns": "a higher return"}
+SAME = {"successes": "the same number of successes", "returns": "the same return"}
 
 
 @dataclass(frozen=True)
@@ -85,8 +89,11 @@ def main(
         print(f"{run}\n{found.table()}")
     better = improvement(*scores)
     for name, x in better.items():
+        if np.ptp(np.concatenate([getattr(found, name).mean(1) for found in scores])) == 0:
+            print(f"All seeds of both runs have {SAME[name]}.")
+            continue
         print(
-            f"A seed of the first run has more {name} than one of the second with probability "
+            f"A seed of the first run has {MORE[name]} than one of the second with probability "
             f"{x['probability']:.0%} (95 % interval {x['low']:.0%} to {x['high']:.0%})"
         )
     if config.json:

@@ -121,8 +121,17 @@ def test_what_has_learned_is_better_than_what_has_not(runs, tmp_path, capsys):
     line = json.loads(file.read_text())
     assert line["returns"] == {"probability": 1.0, "low": 1.0, "high": 1.0}
     assert line["first"]["return_iqm"] > line["second"]["return_iqm"]
+    assert "has a higher return than one of the second with prob" in capsys.readouterr().out
     assert compare.main([short, short, "--num-episodes", "64"], make) == 0
-    assert "probability 50%" in capsys.readouterr().out
+    assert "a higher return than one of the second with probability 50%" in capsys.readouterr().out
+
+
+def test_runs_without_any_difference_are_called_equal(monkeypatch, runs, capsys):
+    monkeypatch.setattr(compare, "score_seeds", lambda *_: scores([1, 0], [0, 1]))
+    assert compare.main([str(runs[0]), str(runs[0]), "--num-episodes", "2"], make) == 0
+    out = capsys.readouterr().out
+    assert "All seeds of both runs have the same number of successes.\n" in out
+    assert "All seeds of both runs have the same return.\n" in out and "probability" not in out
 
 
 def test_what_counts_is_the_environment_not_the_name_of_the_folder(runs, tmp_path, capsys):

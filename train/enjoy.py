@@ -38,6 +38,7 @@ from .runs.progress import LINE_PERIOD
 SHEET_PICTURES = 20
 LOOK_THROUGH = 300
 """Number of episodes to search for those with a requested ending."""
+QUIET = 3.0  # seconds of drawing without a word
 Ending = Literal["any", "success", "failure", "rough"]
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 """Environment variables one of which is set on Linux if there is a display."""
@@ -116,13 +117,17 @@ class Frame:
 
 
 class Notice:
-    """Shows how far a search is, on standard error: in place in a terminal, otherwise one line every ten seconds.
+    """Shows progress on standard error: in place in a terminal, otherwise one line every ten seconds.
 
     Used in a ``with`` statement, whose end removes what is shown in place.
+
+    Args:
+        quiet: time before anything is shown [s].
     """
 
-    def __init__(self) -> None:
-        self._next = time.monotonic()
+    def __init__(self, quiet: float = 0.0) -> None:
+        self._start = time.monotonic()
+        self._next = self._start + quiet
         self._width = 0
 
     def __call__(self, text: str) -> None:
@@ -136,6 +141,18 @@ class Notice:
         else:
             print(text, file=sys.stderr, flush=True)
             self._next = now + LINE_PERIOD
+
+    def count(self, what: str, done: int, total: int) -> None:
+        """Show how many of several equal parts are done, and how long the others will take; nothing after the last.
+
+        Args:
+            what: text before the numbers.
+            done: at least 1.
+            total: number of all parts.
+        """
+        left = (time.monotonic() - self._start) / done * (total - done)
+        if done < total:
+            self(f"{what}: {done}, about {left:.0f} s left")
 
     def clear(self) -> None:
         """Remove what is shown in place."""
@@ -208,8 +225,10 @@ def caption(frame: Frame) -> str:
     return f"step {frame.step}  return {frame.total:.1f}  force {frame.force:.1f} N{success}"
 
 
-def film(env: Any, frames: Sequence[Frame], config: EnjoyConfig) -> list[Any]:
-    """Render the frames of one episode, uint8 (height, width, 3) each."""
+def film(
+    env: Any, frames: Sequence[Frame], config: EnjoyConfig, notice: Notice | None = None
+) -> list[Any]:
+    """Render the frames of one episode, uint8 (height, width, 3) each; ``notice`` shows how many are done."""
     from agym_jax.rendering.render import Renderer
 
     model, data = env.to_mujoco(frames[0].state, config.visuals)
@@ -218,6 +237,8 @@ def film(env: Any, frames: Sequence[Frame], config: EnjoyConfig) -> list[Any]:
         for frame in frames:
             env.write_mujoco(frame.state, data, model)
             pictures.append(renderer.render(data, env.markers(frame.state)))
+            if notice:
+                notice.count(f"Drawing {len(frames)} pictures", len(pictures), len(frames))
     return pictures
 
 
@@ -281,13 +302,15 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
         cut = "" if last.over else ", stopped early"
         print(
             f"{env.name} episode {number}, seed {seed}: {last.step} steps, "
-            f"return {last.total:.1f}, mean force {force:.2f} N, {done}{cut}"
+            f"return {last.total:.1f}, mean force {force:.2f} N, {done}{cut}",
+            flush=True,  # before what is said of the drawing
         )
         lasts.append(last)
         if config.clip or config.sheet:
             if not config.clip:  # a sheet shows twenty of them
                 frames = [frames[i] for i in evenly(len(frames), SHEET_PICTURES)]
-            pictures += film(env, frames, config)
+            with Notice(QUIET) as notice:
+                pictures += film(env, frames, config, notice)
             labels += [caption(frame) for frame in frames]
     if len(lasts) < config.episodes:
         words = "rough" if config.ending == "rough" else f"a {config.ending}"

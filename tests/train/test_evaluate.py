@@ -283,6 +283,39 @@ def test_a_search_shows_the_seed_it_looks_at(terminal, monkeypatch, capsys):
         assert said == "Looking at seed 1001\nLooking at seed 1004\n"
 
 
+@pytest.mark.parametrize(
+    ("terminal", "seconds", "done", "left"),
+    [
+        (True, 0.25, [], []),  # short enough to say nothing
+        (False, 0.25, [], []),
+        (True, 1.0, [3, 4, 5, 6], [4, 3, 2, 1]),
+        (False, 4.0, [1, 4], [24, 12]),
+    ],
+)
+def test_drawing_shows_how_long_it_will_take(terminal, seconds, done, left, monkeypatch, capsys):
+    now = 0.0
+
+    def markers(*_):
+        nonlocal now
+        now += seconds  # of each picture
+        return []
+
+    monkeypatch.setattr(enjoy, "time", SimpleNamespace(monotonic=lambda: now))
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    env = FakeEnv(episode_length=6)
+    monkeypatch.setattr(env, "markers", markers)
+    frames = list(enjoy.Player(env, baseline_policy("zero", 2)).episode(1001))
+    config = enjoy.EnjoyConfig(width=16, height=12, backend="raycast")
+    with enjoy.Notice(enjoy.QUIET) as notice:
+        assert len(enjoy.film(env, frames, config, notice)) == 7
+    texts = [f"Drawing 7 pictures: {i}, about {x} s left" for i, x in zip(done, left, strict=True)]
+    if terminal:
+        in_place = "".join(f"\r{text}" for text in texts)
+        assert capsys.readouterr().err == in_place + (f"\r{' ' * 37}\r" if texts else "")
+    else:
+        assert capsys.readouterr().err == "".join(f"{text}\n" for text in texts)
+
+
 def test_enjoy_refuses_a_wrong_suffix_at_once(capsys):
     words = "--env-name FakeReach-v0 --policy zero --clip film.avi"
     assert enjoy.main(words.split(), lambda *_: pytest.fail("too late")) == 2

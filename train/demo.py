@@ -41,6 +41,7 @@ from .runs.progress import for_terminal
 from .runs.result import summary
 
 FILM_SPEED = 4.0  # times real time
+SHEET_PICTURES = 12  # of the contact sheet, in rows of four
 LEAST_TRAINING = 60.0  # s, however late it is
 
 
@@ -109,7 +110,7 @@ def make_film(env: Any, frames: Sequence[Frame], out: Path, seconds: float) -> t
     Returns:
         Paths of the video and the contact sheet.
     """
-    from agym_jax.rendering.clips import contact_sheet, write_clip
+    from agym_jax.rendering.clips import contact_sheet, evenly, write_clip
     from agym_jax.rendering.render import Renderer
 
     model, data = env.to_mujoco(frames[0].state)
@@ -126,9 +127,9 @@ def make_film(env: Any, frames: Sequence[Frame], out: Path, seconds: float) -> t
             env.write_mujoco(frame.state, data, model)
             pictures.append(renderer.render(data, env.markers(frame.state)))
     film = write_clip(pictures, out / "helping.gif", FILM_SPEED / (env.dt * max(2, stride)))
-    labels = [caption(frame) for frame in chosen]
-    every = math.ceil(len(pictures) / 12)
-    return film, contact_sheet(pictures, out / "helping.png", 4, every, labels)
+    shown = evenly(len(pictures), SHEET_PICTURES)
+    pictures, labels = [pictures[i] for i in shown], [caption(chosen[i]) for i in shown]
+    return film, contact_sheet(pictures, out / "helping.png", 4, 1, labels)
 
 
 def typical(result: EvaluationResult) -> int:

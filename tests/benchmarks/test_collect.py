@@ -133,12 +133,15 @@ def test_under_a_cost_limit_gentle_successes_count(gently, ships, runs, reposito
     path, before = change(
         runs, ALONE, **fields, shipped_unfit="", commit="c" * 40, chosen_gently=True
     )
+    config = runs / ALONE / "config.json"
+    settings = config.read_text()
+    config.write_text(settings.replace('"cost_limit": null', '"cost_limit": 0.1'))
     try:
         (found,) = collecting.find(collecting.CollectConfig((runs,), (ALONE,)))
-        found.training["cost_limit"] = 0.1
         told, text = collecting.collect(found, collecting.CollectConfig((runs,)))
     finally:
         path.write_text(before)
+        config.write_text(settings)
     assert told is ships and "what ships has 20.0% over the same people" in text
     (line,) = lines(repository, "gentle")
     assert line["cost_limit"] == 0.1

@@ -114,7 +114,10 @@ def test_every_setting_has_a_unit_and_a_meaning(name):
 def test_the_command_prints_settings(capsys):
     assert main(["settings", NAME]) == 0
     said = capsys.readouterr().out
-    assert "| `reached` | `0.03` | m | distance from hand to mouth within which the task succeeds |" in said
+    assert (
+        "| `reached` | `0.03` | m | distance from hand to mouth within which the task succeeds |"
+        in said
+    )
     assert "| `sizes` | `'ag'` |" in said and "| `episode_length` | `200` |" in said
     assert main(["settings", "ReachingJako-v0"]) == 2
     assert "ReachingJaco-v0" in capsys.readouterr().err

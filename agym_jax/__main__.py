@@ -50,8 +50,6 @@ COMMANDS = {
 }  # fmt: skip
 """Command -> module with its ``main`` (empty if it is in this module), and its description."""
 ALIASES = {"ppo": "train"}
-TAKES_ENV_NAME = ("train", "ppo", "coop", "evaluate", "enjoy", "crossplay", "sweep")
-"""Commands that know their environment by ``--env-name``, and may be given its id first."""
 PIPE_CLOSED = 141
 """Exit status of a program whose output nobody reads any more, as a shell has it."""
 
@@ -83,19 +81,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not run.__module__.startswith(TRAINER):
         raise_again()  # the trainer does when it begins
     try:
-        return run(with_flag(name, words[1:]), prog=f"{prog} {name}")
+        status = run(words[1:], prog=f"{prog} {name}")
+        sys.stdout.flush()
+        return status
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:  # of `agym-jax ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
-
-
-def with_flag(command: str, words: list[str]) -> list[str]:
-    """Return the arguments of a command, with the flag before an id that comes first: ``agym-jax train ScratchItchJaco-v0``."""
-    first = words[0] if words else "-"
-    named = command in TAKES_ENV_NAME and not first.startswith("-")
-    return ["--env-name", *words] if named else words
 
 
 def program_name(path: str) -> str:

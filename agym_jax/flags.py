@@ -121,7 +121,7 @@ def parse_flags(
         prog: program name shown in the help.
         description: description shown in the help.
     """
-    words = sys.argv[1:] if arguments is None else list(arguments)
+    words = command_words(arguments)
     usual = kind()
     default = dataclasses.replace(usual, task=task_config(env_name_in(words, usual.env_name)))
     return tyro.cli(kind, prog=prog, description=description, args=words, default=default)
@@ -135,6 +135,16 @@ def made_of(env: Any) -> dict[str, Any]:
         found["robot"] = env.variation or RobotVariation()
         found["task"] = getattr(env.task, "config", None)
     return found
+
+
+def command_words(arguments: Sequence[str] | None) -> list[str]:
+    """Return command-line arguments with ``--env-name`` before an id that comes first: ``agym-jax train ScratchItchJaco-v0``.
+
+    Args:
+        arguments: command-line arguments; None for those of this process.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    return ["--env-name", *words] if words and not words[0].startswith("-") else words
 
 
 def env_name_in(arguments: Sequence[str], default: str) -> str:

@@ -12,26 +12,18 @@ from agym_jax.tasks import TASKS
 
 RESULTS = Path(__file__).resolve().parent / "results"
 NOTHING = "*No results yet.*"
-PHYSICS_SINCE = "2026-11-23T00:15"
-"""When the present physics came about (UTC, as in results): starts, motors, muscles, friction, bed, heads and what a robot may touch as in
-Assistive Gym. Tables mark what was measured before. Set it anew with a change that makes older figures wrong."""
-_LINKS = "2026-11-24T02:15"
-TASK_SINCE = {
-    "ArmManipulation": "2026-11-23T07:40", "ArmManipulationJaco": "2026-11-23T11:10",
-    "Dressing": "2026-11-23T07:40", "DressingJaco": _LINKS, "DressingSawyer": _LINKS, "ReachingJaco": _LINKS, "ReachingSawyer": _LINKS, "ReachingBaxterHuman": _LINKS,
-    "ScratchItchJaco": _LINKS, "ScratchItchPR2Human": _LINKS, "BedBathingJaco": _LINKS, "BedBathingPR2": _LINKS,
-    "BedBathingSawyerHuman": _LINKS,
+CHANGES: dict[str, tuple[tuple[str, ...], str]] = {
+    "2026-11-23T00:15": (("",), "starts, motors, muscles, friction, the bed, heads and what a robot may touch, as in Assistive Gym"),
+    "2026-11-23T07:40": (("ArmManipulation", "Dressing"), "what one-armed robots observe in ArmManipulation; the start and the gown of Dressing"),
+    "2026-11-23T11:10": (("ArmManipulationJaco",), "Jaco's third link and the front of its nightstand"),
+    "2026-11-24T02:15": (
+        ("BedBathingJaco", "BedBathingPR2", "BedBathingSawyerHuman", "DressingJaco", "DressingSawyer", "ReachingBaxterHuman",
+         "ReachingJaco", "ReachingSawyer", "ScratchItchJaco", "ScratchItchPR2Human"),
+        "every link of a robot's arm meets every limb of the task; of these, episodes of the shipped policies changed",
+    ),
 }  # fmt: skip
-"""The same of ids that begin so and changed since, the latest counts: what one-armed robots observe in ArmManipulation; Jaco's
-third link and the front of its nightstand; Dressing's start and gown; links of arms that meet every limb, where episodes of
-policies that ship are not the same as before."""
-CHANGES = {
-    PHYSICS_SINCE: "starts, motors, muscles, friction, the bed, heads and what a robot may touch, as in Assistive Gym",
-    "2026-11-23T07:40": "what one-armed robots observe in ArmManipulation; the start and the gown of Dressing",
-    "2026-11-23T11:10": "Jaco's third link and the front of its nightstand",
-    _LINKS: "every link of a robot's arm meets every limb of the task; the environments in which episodes of the shipped policies changed",
-}
-"""What changed at each of these times."""
+"""Changes of the physics that made earlier figures wrong: when (UTC, as in results) -> what the ids begin with, and what changed. Tables
+mark what was measured before. Add a line with a change that makes older figures wrong."""
 DATES = "benchmarks.md#changes-of-the-physics"
 """Where ``dates`` is, from other pages of the documentation."""
 EARLIER = "†"
@@ -67,13 +59,10 @@ def is_earlier(line: Line) -> bool:
     """Whether a result is of an earlier physics than the present one; Assistive Gym's has not changed."""
     if line.get("impl") == THEIRS:
         return False
-    return "time" in line and line["time"] < max([PHYSICS_SINCE, *_own_changes(line).values()])
-
-
-def _own_changes(line: Line) -> dict[str, str]:
-    """What of ``TASK_SINCE`` a result is of."""
     env = str(line.get("env", "Dressing" if line.get("kind") == "pulls" else ""))
-    return {part: since for part, since in TASK_SINCE.items() if env.startswith(part)}
+    return "time" in line and line["time"] < max(
+        time for time, (ids, _) in CHANGES.items() if env.startswith(ids)
+    )
 
 
 def about(lines: Sequence[Line]) -> str:
@@ -92,13 +81,10 @@ def about(lines: Sequence[Line]) -> str:
 
 
 def dates(folder: Path = RESULTS) -> str:
-    """A Markdown table of the changes of the physics that made earlier figures wrong."""
-    names: dict[str, list[str]] = {PHYSICS_SINCE: ["all"]}
-    for name, time in TASK_SINCE.items():
-        names.setdefault(time, []).append(name)
+    """A Markdown table of ``CHANGES``."""
     rows = [
-        f"| {time.replace('T', ', ')} | {', '.join(sorted(names[time]))} | {what} |"
-        for time, what in sorted(CHANGES.items())
+        f"| {time.replace('T', ', ')} | {', '.join(ids) or 'all'} | {what} |"
+        for time, (ids, what) in CHANGES.items()
     ]
     return "\n".join(["| since (UTC) | environments | what changed |", "|---|---|---|", *rows])
 

@@ -101,8 +101,10 @@ def page(text: str, commits: bool = True) -> str:
         TableError: see ``fill``.
     """
     made = fill(text)
-    made = made if commits else made.replace(f"({DATES})", f"(docs/{DATES})")
-    return made if commits else re.sub(r"; commit [0-9a-f]{7,}(, [0-9a-f]{7,})*(?=[;.])", "", made)
+    if commits:
+        return made
+    made = made.replace(f"({DATES})", f"(docs/{DATES})")
+    return re.sub(r"; commit [0-9a-f]{7,}(, [0-9a-f]{7,})*(?=[;.])", "", made)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

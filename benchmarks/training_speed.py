@@ -66,8 +66,7 @@ def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[st
         joint = dataclasses.replace(joint, allow_joint_observation=True)
         result = ppo.train(env, _settings(joint, config, devices), for_terminal())
     speeds = [row["steps_per_second"] for row in result.curve[1:]]
-    precision = config.gradient_precision
-    changes = {} if precision == "float32" else {"gradient_precision": precision}
+    precise = config.gradient_precision == "float32"
     return {
         "env": env.name,
         "impl": env.impl,
@@ -80,7 +79,7 @@ def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[st
         "steps_per_s_min": round(min(speeds)),
         "steps_per_s_max": round(max(speeds)),
         "nan": result.nan_steps,
-        **({"changes": changes} if changes else {}),
+        "changes": {} if precise else {"gradient_precision": config.gradient_precision},
     }
 
 

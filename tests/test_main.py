@@ -56,20 +56,6 @@ def test_list_says_when_no_id_contains_a_text(capsys: pytest.CaptureFixture):
     assert "No environment id contains 'zzz'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("command", "words", "becomes"),
-    [
-        ("train", ["A-v0", "--seed", "1"], ["--env-name", "A-v0", "--seed", "1"]),
-        ("evaluate", ["--env-name", "A-v0"], ["--env-name", "A-v0"]),
-        ("view", ["A-v0"], ["A-v0"]),
-        ("select", ["runs/A-v0"], ["runs/A-v0"]),
-        ("train", [], []),
-    ],
-)
-def test_an_id_may_come_first(command, words, becomes):
-    assert cli.with_flag(command, words) == becomes
-
-
 def test_output_that_nobody_reads_any_more_is_no_error(tmp_path: Path):
     code = (
         "import sys; from agym_jax import __main__ as cli; "

@@ -17,7 +17,7 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
-from agym_jax.flags import Count
+from agym_jax.flags import Count, command_words
 from agym_jax.policy.agents import BASELINES, Baseline, Pair, parts
 from agym_jax.policy.check import check_policy, settings_for
 from agym_jax.policy.files import find_policy, load_agent, run_file
@@ -186,7 +186,9 @@ def main(
 ) -> int:
     """Run the command line and return the exit status."""
     description = first_paragraph(__doc__)
-    config = tyro.cli(CrossplayConfig, prog=prog, args=arguments, description=description)
+    config = tyro.cli(
+        CrossplayConfig, prog=prog, args=command_words(arguments), description=description
+    )
     run(config, make)
     return 0
 

@@ -24,7 +24,7 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
-from agym_jax.flags import Count
+from agym_jax.flags import Count, command_words
 from agym_jax.policy.agents import baseline_policy
 from agym_jax.policy.files import PolicyFiles, find_policy, load_policies
 
@@ -41,7 +41,6 @@ from .runs.progress import for_terminal
 from .runs.result import summary
 
 FILM_SPEED = 4.0  # times real time
-SHEET_PICTURES = 12  # of the contact sheet, in rows of four
 LEAST_TRAINING = 60.0  # s, however late it is
 
 
@@ -110,7 +109,7 @@ def make_film(env: Any, frames: Sequence[Frame], out: Path, seconds: float) -> t
     Returns:
         Paths of the video and the contact sheet.
     """
-    from agym_jax.rendering.clips import contact_sheet, evenly, write_clip
+    from agym_jax.rendering.clips import contact_sheet, write_clip
     from agym_jax.rendering.render import Renderer
 
     model, data = env.to_mujoco(frames[0].state)
@@ -127,9 +126,8 @@ def make_film(env: Any, frames: Sequence[Frame], out: Path, seconds: float) -> t
             env.write_mujoco(frame.state, data, model)
             pictures.append(renderer.render(data, env.markers(frame.state)))
     film = write_clip(pictures, out / "helping.gif", FILM_SPEED / (env.dt * max(2, stride)))
-    shown = evenly(len(pictures), SHEET_PICTURES)
-    pictures, labels = [pictures[i] for i in shown], [caption(chosen[i]) for i in shown]
-    return film, contact_sheet(pictures, out / "helping.png", 4, 1, labels)
+    labels = [caption(frame) for frame in chosen]
+    return film, contact_sheet(pictures, out / "helping.png", columns=4, labels=labels)
 
 
 def typical(result: EvaluationResult) -> int:
@@ -205,7 +203,7 @@ def main(
 ) -> int:
     """Run the command line and return the exit status."""
     description = first_paragraph(__doc__)
-    config = tyro.cli(DemoConfig, prog=prog, args=arguments, description=description)
+    config = tyro.cli(DemoConfig, prog=prog, args=command_words(arguments), description=description)
     jax.config.update("jax_platforms", "cpu")
     run(config, make)
     return 0

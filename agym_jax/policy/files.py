@@ -56,8 +56,7 @@ def _files_at(path: Path, env_name: str | None) -> PolicyFiles:
     """Return the policies in a file, in the folder of a run, or in the ``--save-dir`` of an environment's run."""
     if not path.is_dir():
         return PolicyFiles(str(path), None)
-    if env_name and (path / env_name).is_dir():
-        path = path / env_name
+    path = path if env_name is None else run_folder(path, env_name)
     if not run_file(path, "robot").is_file() and _seeds(path):
         raise _unchosen(path)
     human = run_file(path, "human")
@@ -72,10 +71,11 @@ def run_file(folder: Path, agent: str) -> Path:
 
 
 def run_folder(load_dir: Path | str, env_name: str) -> Path:
-    """Return the folder of an environment's run: ``load_dir/<env>``, or ``load_dir`` if it is that folder already."""
+    """Return the folder of an environment's run: ``load_dir/<env>``, or ``load_dir`` if it is itself the folder of a run."""
     folder = Path(load_dir)
     inside = folder / env_name
-    return folder if folder.name == env_name and not inside.is_dir() else inside
+    is_run = run_file(folder, "robot").is_file() or _seeds(folder)
+    return folder if is_run and not inside.is_dir() else inside
 
 
 def _seeds(run: Path) -> list[Path]:

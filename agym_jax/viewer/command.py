@@ -108,11 +108,8 @@ def check_port(host: str, port: int) -> None:
 
 def main(argv: Sequence[str] | None = None, prog: str = "agym-jax view") -> int:
     """Run the command line, with the id as ``--env-name`` or as first argument, and return the exit status."""
-    words = sys.argv[1:] if argv is None else list(argv)
-    if words and not words[0].startswith("-"):
-        words = ["--env-name", *words]
     does = f"Watch an episode in the browser, control it by hand, or save it as a web page: {prog} ID ..."
-    config = parse_flags(ViewConfig, words, prog, does)
+    config = parse_flags(ViewConfig, argv, prog, does)
     try:
         check(config)
         run(config)

@@ -3,11 +3,29 @@
 
 from __future__ import annotations
 
-from benchmarks.markdown import CHANGES, PHYSICS_SINCE, TASK_SINCE, dates
+import pytest
+
+from agym_jax import list_envs
+from benchmarks.markdown import CHANGES, dates, is_earlier
 
 
-def test_every_change_of_the_physics_is_explained():
-    assert set(CHANGES) == {PHYSICS_SINCE, *TASK_SINCE.values()}
-    text = dates()
-    assert all(name in text for name in TASK_SINCE)
-    assert len(text.splitlines()) == 2 + len(CHANGES)
+def test_every_change_of_the_physics_is_explained_and_of_some_environment():
+    assert len(dates().splitlines()) == 2 + len(CHANGES)
+    for time, (ids, what) in CHANGES.items():
+        assert what in dates() and time.replace("T", ", ") in dates()
+        assert all(any(env.startswith(x) for env in list_envs()) for x in ids)
+
+
+@pytest.mark.parametrize(
+    ("env", "time", "earlier"),
+    [
+        ("FeedingPR2-v0", "2026-11-22T23:00", True),
+        ("FeedingPR2-v0", "2026-11-23T01:00", False),
+        ("ArmManipulationPR2-v0", "2026-11-23T08:00", False),
+        ("ArmManipulationJaco-v0", "2026-11-23T08:00", True),
+        ("ScratchItchPR2-v0", "2026-11-23T08:00", False),
+        ("ScratchItchPR2Human-v0", "2026-11-23T08:00", True),
+    ],
+)
+def test_a_result_is_of_the_physics_of_its_time(env, time, earlier):
+    assert is_earlier({"env": env, "time": time}) is earlier

@@ -10,11 +10,11 @@ import pytest
 from fake_env import FakeEnv
 
 from agym_jax import Population
-from agym_jax.flags import EnvFlags, parse_flags
+from agym_jax.flags import EnvFlags, command_words, parse_flags
 from agym_jax.policy.policy import read_policy
 from agym_jax.tasks.scratch_itch import Config
 from agym_jax.viewer.command import ViewConfig
-from train import coop, crossplay, demo, evaluate, ppo, select
+from train import coop, crossplay, demo, enjoy, evaluate, ppo, select, sweep
 from train.configs import CoopConfig, PPOConfig, config_for, parse_arguments
 from train.enjoy import EnjoyConfig
 from train.errors import CheckpointMismatchError
@@ -154,6 +154,31 @@ def test_a_run_of_other_settings_is_not_continued(tmp_path, capsys, restored_set
     assert "Differs from training" not in capsys.readouterr().out
     line = json.loads(same.read_text())
     assert line["changes"] == {"episode_length": 10} and "other_than_in_training" not in line
+
+
+@pytest.mark.parametrize(
+    ("words", "becomes"),
+    [
+        (["A-v0", "--seed", "1"], ["--env-name", "A-v0", "--seed", "1"]),
+        (["--env-name", "A-v0"], ["--env-name", "A-v0"]),
+        (["--seed", "1"], ["--seed", "1"]),
+        ([], []),
+    ],
+)
+def test_an_id_may_come_first(words, becomes):
+    assert command_words(words) == becomes
+
+
+@pytest.mark.parametrize(
+    ("command", "more"),
+    [
+        (ppo, ""), (coop, ""), (evaluate, ""), (enjoy, ""), (demo, ""),
+        (crossplay, "--robots zero --humans zero"), (sweep, "--grid lr=1e-3,1e-4"),
+    ],
+)  # fmt: skip
+def test_every_command_of_an_environment_takes_its_id_first(command, more, capsys):
+    assert command.main(["ReachingSawyr-v0", *more.split()]) == 2
+    assert "Did you mean 'ReachingSawyer" in capsys.readouterr().err
 
 
 def test_a_command_without_arguments_reads_those_of_its_process(monkeypatch):

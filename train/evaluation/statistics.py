@@ -62,9 +62,8 @@ def bootstrap_interval(
     scores = np.asarray(scores, float)
     seeds, episodes = scores.shape
     rng = np.random.default_rng(seed)
-    if (
-        episodes == 1
-    ):  # at once: training computes several in every line of its curve, while a GPU waits
+    if episodes == 1:
+        # at once: training computes several in every line of its curve, while a GPU waits
         drawn = scores[rng.integers(0, seeds, (resamples, seeds)), 0]
     else:
         drawn = np.empty((resamples, seeds))

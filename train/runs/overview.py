@@ -88,7 +88,7 @@ def training_summary(run: Path) -> dict[str, Any] | None:
         ``env, num_seeds, seeds_at_end`` (without those that diverged), ``num_env_steps`` (of each seed),
         ``num_envs, impl``, seconds of training (``train_seconds``, building excluded) and of the whole
         processes (``wall_seconds``, where a suite has kept them), when the interquartile mean of success first
-        was ``ENOUGH`` (``steps_to_90, seconds_to_90``), the ``curve``, ``cost_limit`` if there was one, and commit, device, versions, time.
+        was ``ENOUGH`` (``steps_to_90, seconds_to_90``), the ``curve``, ``cost_limit`` (None without one), and commit, device, versions, time.
     """
     rows, path = read_rows(run / "curve.jsonl"), run / "config.json"
     if not rows:
@@ -96,7 +96,6 @@ def training_summary(run: Path) -> dict[str, Any] | None:
     about = json.loads(path.read_text()) if path.is_file() else {}
     config, curve, last = about.get("config", {}), reduced_curve(rows), rows[-1]
     steps, seconds = first_time(curve) or (None, None)
-    limit = {name: config[name] for name in ("cost_limit",) if config.get(name) is not None}
     return {
         "kind": "seed-training",
         "env": run.name,
@@ -111,7 +110,7 @@ def training_summary(run: Path) -> dict[str, Any] | None:
         "steps_to_90": steps,
         "seconds_to_90": seconds,
         "curve": curve,
-        **limit,
+        "cost_limit": config.get("cost_limit"),
         **{name: about.get(name) for name in ("commit", "device", "versions", "time")},
     }
 

@@ -24,7 +24,7 @@ from jax.sharding import Mesh
 from agym_jax.compat.warp_kernels import kernels_in_background
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
-from agym_jax.flags import made_of
+from agym_jax.flags import command_words, made_of
 from agym_jax.interrupts import INTERRUPTED, deferred, raise_again
 from agym_jax.registry import parse
 
@@ -315,7 +315,7 @@ def command_line(
     Returns:
         The exit status.
     """
-    words = sys.argv[1:] if arguments is None else list(arguments)
+    words = command_words(arguments)
     try:
         config = parse_arguments(words, kind, prog)
         signal.signal(signal.SIGTERM, _on_terminate)

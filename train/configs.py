@@ -22,10 +22,12 @@ from .task_changes import CPU_CHANGES, TASK_CHANGES
 POSITIVE = ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling")
 NOT_NEGATIVE = (
     "value_loss_coef", "entropy_coef", "policy_head_gain",
-    "noise_floor",
+    "noise_floor", "noise_ceiling",
     "cost_limit", "cost_proportional", "cost_integral", "cost_derivative", "cost_multiplier_max",
 )  # fmt: skip
-SHARES = ("gamma", "gae_lambda", "entropy_decay_share", "cost_tighten_from", "cost_tighten_until")
+SHARES = (
+    "gamma", "gae_lambda", "entropy_decay_share", "value_warm_up", "cost_tighten_from", "cost_tighten_until",
+)  # fmt: skip
 MAX_ENV_STEPS = 2**32 - 1  # the learner counts steps in 32 unsigned bits
 
 
@@ -73,6 +75,8 @@ class LearnConfig(EnvFlags):
     """Decay the learning rate linearly to zero over the run."""
     max_grad_norm: float = 0.5
     """Maximum gradient norm; larger gradients are scaled down to it."""
+    clip_apart: bool = False
+    """Apply max_grad_norm to policy and value function separately, instead of to both together."""
     gamma: float = 0.99
     """Discount factor per step."""
     gae_lambda: Annotated[float, tyro.conf.arg(aliases=["--tau"])] = 0.95
@@ -134,8 +138,17 @@ class LearnConfig(EnvFlags):
     noise_floor: float = 0.0
     """Smallest standard deviation of "normal" in the first half of the run, decaying to zero afterwards: exploration has to
     continue until rare successes are found."""
+    noise_ceiling: float = 0.0
+    """Largest standard deviation of "normal" at the end of the run, decreasing to it from 1 by equal factors; 0 = no bound.
+    Makes a policy learn to act without noise, as --robot-policy is evaluated."""
     policy_head_gain: float = 0.01
     """Gain of the initial weights of the policy's last layer (Assistive Gym: 1)."""
+
+    robot_policy: str | None = None
+    """Policy file from which the robot's training starts; "shipped": the policy included for the environment."""
+    value_warm_up: float = 0.0
+    """Fraction of the run in which only the value functions learn. With --robot-policy, 0.05 keeps the policy from being
+    spoiled by value functions that know nothing yet."""
 
     log_interval: Count = 0
     """Updates between log lines; 0 = about 80 lines per run."""
@@ -167,10 +180,11 @@ class LearnConfig(EnvFlags):
                     f"{name} must be the sizes of at least one layer, each at least 1, such as --{name.replace('_', '-')} "
                     f"64 64; got {' '.join(map(str, sizes)) or 'none'}."
                 )
-        if self.noise_floor and self.distribution != "normal":
-            raise ConfigError(
-                f"noise_floor bounds the deviation of --distribution normal; {self.distribution} has no such parameter."
-            )
+        for name in ("noise_floor", "noise_ceiling"):
+            if getattr(self, name) and self.distribution != "normal":
+                raise ConfigError(
+                    f"{name} bounds the deviation of --distribution normal; {self.distribution} has no such parameter."
+                )
         check_save_dir(self.save_dir)
         for name in SHARES:
             if not 0 <= getattr(self, name) <= 1:
@@ -192,6 +206,19 @@ class PPOConfig(LearnConfig):
     allow_joint_observation: bool = False
     """Train a single policy for robot and person, which gives the robot access to the person's observation."""
 
+    def __post_init__(self) -> None:
+        """Reject values that can never work.
+
+        Raises:
+            ConfigError: as for ``LearnConfig``; or if a robot's policy is to be the start of one for robot and person.
+        """
+        super().__post_init__()
+        if self.robot_policy is not None and self.allow_joint_observation:
+            raise ConfigError(
+                "--robot-policy is a policy of the robot alone, and --allow-joint-observation trains one policy for robot and "
+                "person. Leave one of them out, or use agym-jax coop."
+            )
+
 
 @dataclass(frozen=True)
 class CoopConfig(LearnConfig):
@@ -201,8 +228,6 @@ class CoopConfig(LearnConfig):
     """Environment id with an active person."""
     central_critic: bool = False
     """Give the value functions both observations (the policies never receive both)."""
-    robot_policy: str | None = None
-    """Policy file from which the robot's training starts."""
     freeze_robot: bool = False
     """Do not train --robot-policy; it acts by the mode of its distribution."""
     human_policy: str | None = None

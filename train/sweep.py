@@ -37,7 +37,7 @@ from .runs.session import resolve_config, run_session
 SWEPT = (
     "lr", "use_linear_lr_decay", "gamma", "gae_lambda", "clip_param", "value_loss_coef", "entropy_coef",
     "entropy_decay_share", "max_grad_norm", "eps", "reward_scaling", "clip_value_loss", "recompute_advantages",
-    "noise_floor",
+    "noise_floor", "noise_ceiling", "value_warm_up", "clip_apart",
     "cost_limit", "cost_multiplier_max", "cost_proportional", "cost_integral", "cost_derivative", "cost_tighten_from", "cost_tighten_until",
 )  # fmt: skip
 """Settings that are arguments of the compiled update. A sweep without ``cost_limit`` has no cost limit."""
@@ -62,6 +62,8 @@ class SweepConfig(EnvFlags):
     """Number of environments per seed; 0 = the environment's default."""
     seed: int = 1
     """First seed, also used to draw the random combinations."""
+    robot_policy: str | None = None
+    """Policy file from which all trainings start; "shipped": the policy included for the environment."""
     impl: str = "auto"
     """Physics: "jax", "warp", "native" or "auto"."""
     save_dir: str | None = "sweeps"
@@ -198,7 +200,7 @@ def main(
     settings = parse_grid(flags.grid, flags.random, flags.seed)
     config = config_for(flags.env_name, platform=jax.default_backend())
     config = dataclasses.replace(
-        config, seed=flags.seed, impl=flags.impl, save_dir=flags.save_dir,
+        config, seed=flags.seed, impl=flags.impl, save_dir=flags.save_dir, robot_policy=flags.robot_policy,
         num_envs=flags.num_envs or config.num_envs, num_env_steps=flags.num_env_steps or config.num_env_steps,
     )  # fmt: skip
     env = make(flags.env_name, flags.impl, **flags.options())

@@ -1,5 +1,5 @@
 # ruff: noqa: D103 (a test's name says what it shows)
-"""The floor of the exploration noise."""
+"""The bounds of the exploration noise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from agym_jax.policy.networks import Architecture, init_policy, make_networks
 from train.configs import PPOConfig
 from train.errors import ConfigError
-from train.learning.noise import keep_noise, log_floor
+from train.learning.noise import keep_noise, log_ceiling, log_floor
 
 
 @pytest.mark.parametrize(("progress", "floor"), [(0.0, 0.4), (0.5, 0.4), (0.75, 0.2), (1.0, 1e-6)])
@@ -25,15 +25,37 @@ def test_only_deviations_below_the_floor_are_changed():
     arch = Architecture(3, 2, (4,), (4,), "elu", "normal", 0.2, 0.01)
     policy = init_policy(make_networks(arch), arch, jax.random.PRNGKey(0))
     before = policy["params"]["std_logparam"]["log_value"]
-    kept = keep_noise(policy, 0.5, jnp.float32(0.1))["params"]
+    kept = keep_noise(policy, 0.5, 0.0, jnp.float32(0.1))["params"]
     np.testing.assert_allclose(np.exp(kept["std_logparam"]["log_value"]), 0.5, rtol=1e-6)
     rest = {name: layer for name, layer in kept.items() if name != "std_logparam"}
     assert all(rest[name] is policy["params"][name] for name in rest) and len(rest) == 2
     for floor in (0.0, 0.1):
-        same = keep_noise(policy, floor, jnp.float32(0.1))["params"]["std_logparam"]["log_value"]
+        same = keep_noise(policy, floor, 0.0, jnp.float32(0.1))["params"]["std_logparam"][
+            "log_value"
+        ]
         np.testing.assert_array_equal(same, before)
 
 
-def test_a_deviation_that_depends_on_the_observation_has_no_floor():
-    with pytest.raises(ConfigError, match=r"noise_floor .* --distribution normal; tanh_normal"):
-        PPOConfig(noise_floor=0.1, distribution="tanh_normal")
+@pytest.mark.parametrize(("progress", "ceiling"), [(0.0, 1.0), (0.5, 0.1), (1.0, 0.01)])
+def test_the_ceiling_falls_by_equal_factors_over_the_run(progress, ceiling):
+    bound = math.exp(float(log_ceiling(0.01, jnp.float32(progress))))
+    assert bound == pytest.approx(ceiling, rel=1e-4)
+    assert log_ceiling(0.0, jnp.float32(progress)) == jnp.inf
+
+
+def test_only_deviations_above_the_ceiling_are_changed_and_it_wins_over_the_floor():
+    policy = {"params": {"std_logparam": {"log_value": jnp.log(jnp.array([0.05, 0.3, 2.0]))}}}
+
+    def kept(*bounds):
+        log_value = keep_noise(policy, *bounds, jnp.float32(0.5))["params"]["std_logparam"]
+        return np.exp(log_value["log_value"])
+
+    np.testing.assert_allclose(kept(0.0, 0.04), [0.05, 0.2, 0.2], rtol=1e-5)
+    np.testing.assert_allclose(kept(0.0, 0.0), [0.05, 0.3, 2.0], rtol=1e-5)
+    np.testing.assert_allclose(kept(0.4, 0.04), 0.2, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["noise_floor", "noise_ceiling"])
+def test_a_deviation_that_depends_on_the_observation_has_no_bounds(name):
+    with pytest.raises(ConfigError, match=rf"{name} .* --distribution normal; tanh_normal"):
+        PPOConfig(**{name: 0.1}, distribution="tanh_normal")

@@ -9,12 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax.training.agents.ppo.losses import PPONetworkParams
 from fake_env import FakeEnv
 from train_runs import same_bytes
 
 from train.configs import PPOConfig
 from train.learning.agents import Agents
-from train.learning.ppo import Hyper
+from train.learning.ppo import Hyper, clip_gradients
 from train.learning.rollout import init_rollout
 from train.learning.update import make_updates
 
@@ -35,6 +36,8 @@ OTHERS = {
     "eps": 1e-2,
     "reward_scaling": 0.01,
     "noise_floor": 2.0,
+    "noise_ceiling": 0.1,
+    "value_warm_up": 0.5,
 }
 STEPS = 400  # of the run, of which a few are made
 
@@ -76,3 +79,27 @@ def test_the_program_of_another_configuration_is_the_same(program):
     plain = text()
     assert text(**OTHERS, num_env_steps=123_456, seed=9) == plain
     assert text(ppo_epoch=3) != plain
+
+
+def test_gradients_are_clipped_together_or_apart():
+    grads = PPONetworkParams(policy={"a": jnp.array([0.3, 0.4])}, value={"b": jnp.array([12.0])})
+    together = clip_gradients(grads, 1.0, 0.0)
+    norm = np.hypot(0.5, 12.0)
+    np.testing.assert_allclose(together.policy["a"], np.array([0.3, 0.4]) / norm, rtol=1e-6)
+    np.testing.assert_allclose(together.value["b"], [12 / norm], rtol=1e-6)
+    apart = clip_gradients(grads, 1.0, 1.0)
+    np.testing.assert_allclose(apart.policy["a"], [0.3, 0.4], rtol=1e-6)
+    np.testing.assert_allclose(apart.value["b"], [1.0], rtol=1e-6)
+    np.testing.assert_allclose(clip_gradients(grads.value, 3.0, 1.0)["b"], [3.0], rtol=1e-6)
+
+
+def test_before_the_value_function_is_warm_the_policy_stays_as_it_is(program):
+    _, run, learner, rollout = program
+
+    def learned(share):
+        hyper = Hyper.of(dataclasses.replace(CONFIG, value_warm_up=share), STEPS)
+        return run(learner, rollout, jnp.int32(3), hyper)[0].agents["robot"].params
+
+    before, warming, past = learner.agents["robot"].params, learned(0.5), learned(0.1)
+    assert same_bytes(warming.policy, before.policy) and not same_bytes(warming.value, before.value)
+    assert not same_bytes(past.policy, before.policy)

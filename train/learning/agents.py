@@ -19,8 +19,10 @@ from brax.training.types import UInt64
 
 from agym_jax.policy.agents import Part, parts
 from agym_jax.policy.check import check_policy
+from agym_jax.policy.files import find_policy
 from agym_jax.policy.networks import Architecture, make_networks, mode_action, sample_action
 from agym_jax.policy.policy import Policy, read_policy
+from agym_jax.registry import static_id
 
 from ..configs import LearnConfig
 from .constraint import COST_LOSSES, SHARED
@@ -35,6 +37,7 @@ from .ppo import (
 )
 from .rollout import Batch
 
+SHIPPED = "shipped"  # in place of a file to start from: the robot's policy that ships
 STARTING = ("init_noise_std", "policy_head_gain")  # of an architecture; matter at the start only
 
 
@@ -265,8 +268,10 @@ def _make_agent(config: LearnConfig, env: Any, name: str) -> Agent:
     path = getattr(config, f"{name}_policy", None)
     start = None
     if path is not None:
+        if path == SHIPPED:
+            path = find_policy(static_id(env.name))
         start = read_policy(path)
-        check_policy(start, env, path, agent=name)
+        check_policy(start, env, path, agent=name, other_people=True)
         arch = replace(start.arch, value_hidden=arch.value_hidden)
     size = env.observation_size
     privileged = getattr(env, "privileged_obs_size", 0) if config.privileged_critic else 0

@@ -1,10 +1,11 @@
-"""A floor of the exploration noise, for the Gaussian whose deviation is a parameter of its own ("normal").
+"""Bounds of the exploration noise, for the Gaussian whose deviation is a parameter of its own ("normal").
 
 A policy gradient lowers the noise as soon as it costs something, often before a rare success, such as the first
 drop of water drunk, was seen: then it never is. With a floor, the noise lasts for half of the run.
 
-Two other remedies did harm with four seeds each (docs/seeds.md): a ceiling that falls, and noise of which a share is
-held for a whole rollout.
+The deterministic action of a policy is the mean of its noise. A policy that learned with noise until the end was never
+tried without; a ceiling that falls lets it learn to do without. It is meant for policies that can do their task already: in
+trainings from nothing it did harm (four seeds each, docs/benchmarks.md), as did noise of which a share is held for a whole rollout.
 """
 
 from __future__ import annotations
@@ -29,17 +30,29 @@ def log_floor(floor: Any, progress: jax.Array) -> jax.Array:
     return jnp.log(jnp.maximum(floor * (1 - fallen), LEAST))
 
 
-def keep_noise(policy: Any, floor: Any, progress: jax.Array) -> Any:
-    """A policy's parameters with deviations that are not below the floor; those of another distribution as they are.
+def log_ceiling(ceiling: Any, progress: jax.Array) -> jax.Array:
+    """Largest logarithm of the deviation after a share of the run: equal factors from 1 down to ``ceiling`` ().
+
+    Args:
+        ceiling: largest deviation at the end of the run; 0: none    ().
+        progress: share of the run that is made    ().
+    """
+    return jnp.where(ceiling > 0, progress * jnp.log(jnp.maximum(ceiling, LEAST)), jnp.inf)
+
+
+def keep_noise(policy: Any, floor: Any, ceiling: Any, progress: jax.Array) -> Any:
+    """A policy's parameters with deviations from the floor to the ceiling; those of another distribution as they are.
 
     Args:
         policy: parameters of the policy network.
         floor: least deviation in the first half of the run    ().
+        ceiling: largest deviation at the end of the run; 0: none    ().
         progress: share of the run that is made    ().
     """
     layers = policy["params"]
     if "std_logparam" not in layers:  # Brax's name
         return policy
     value = layers["std_logparam"]["log_value"]
-    kept = {"log_value": jnp.maximum(value, log_floor(floor, progress))}
+    kept = jnp.maximum(value, log_floor(floor, progress))
+    kept = {"log_value": jnp.minimum(kept, log_ceiling(ceiling, progress))}
     return {**policy, "params": {**layers, "std_logparam": kept}}

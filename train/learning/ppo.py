@@ -66,6 +66,9 @@ class Hyper:
     recompute_advantages: Any  # 1: before every pass over the data, with the values of then
     learns: Any  # 0: one of several trainings that has been stopped
     noise_floor: Any  # least deviation of the exploration noise
+    noise_ceiling: Any  # largest deviation at the end; 0: none
+    value_warm_up: Any  # share of the run before which the policy stays as it is
+    clip_apart: Any  # 1: gradients of policy and value function are clipped each by itself
     constraint: ConstraintHyper | None = None  # None without a cost limit
 
     @classmethod
@@ -97,6 +100,9 @@ class Hyper:
             "recompute_advantages": bool(config.recompute_advantages),
             "learns": 1.0,
             "noise_floor": config.noise_floor,
+            "noise_ceiling": config.noise_ceiling,
+            "value_warm_up": config.value_warm_up,
+            "clip_apart": config.clip_apart,
         }
         numbers = {name: np.float32(value) for name, value in values.items()}
         constraint = ConstraintHyper.of(config, episode_length)
@@ -132,9 +138,33 @@ def architecture(config: LearnConfig, observation_size: int, action_size: int) -
     )
 
 
-def make_optimizer(max_grad_norm: Any = 0.5, eps: Any = 1e-5) -> optax.GradientTransformation:
+def clip_gradients(grads: Any, max_norm: Any, apart: Any) -> Any:
+    """Gradients of a norm that is not above a largest one.
+
+    Args:
+        grads: of policy and value function, or of a value function alone.
+        max_norm: largest norm    ().
+        apart: 1: of policy and value function each; 0: of both together    ().
+    """
+
+    def factor(part: Any) -> jax.Array:
+        return jnp.minimum(1.0, max_norm / jnp.maximum(optax.global_norm(part), 1e-12))
+
+    def scaled(part: Any) -> Any:
+        by = jnp.where(apart > 0, factor(part), factor(grads))
+        return jax.tree.map(lambda x: by * x, part)
+
+    if not isinstance(grads, PPONetworkParams):
+        return scaled(grads)
+    return PPONetworkParams(policy=scaled(grads.policy), value=scaled(grads.value))
+
+
+def make_optimizer(
+    max_grad_norm: Any = 0.5, eps: Any = 1e-5, clip_apart: Any = 0.0
+) -> optax.GradientTransformation:
     """Gradient clipping and Adam, without the learning rate; its state is the same for all arguments."""
-    return optax.chain(optax.clip_by_global_norm(max_grad_norm), optax.scale_by_adam(eps=eps))
+    clip = optax.stateless(lambda grads, _: clip_gradients(grads, max_grad_norm, clip_apart))
+    return optax.chain(clip, optax.scale_by_adam(eps=eps))
 
 
 def init_agent(
@@ -290,9 +320,12 @@ def learn(
         used = penalised(centred / scale, penalty, mean)
         return flat({"value": values, "target": advantage + values, "advantage": used})
 
-    optimizer = make_optimizer(hyper.max_grad_norm, hyper.eps)
+    optimizer = make_optimizer(hyper.max_grad_norm, hyper.eps, hyper.clip_apart)
     progress = agent.env_steps.astype(jnp.float32) / hyper.total_steps
     rate = hyper.lr * jnp.where(hyper.lr_decays > 0, jnp.maximum(0.0, 1.0 - progress), 1.0)
+    rates = PPONetworkParams(
+        policy=jnp.where(progress < hyper.value_warm_up, 0.0, rate), value=rate
+    )
     constraint, penalty, costs = learn_constraint(
         agent.constraint,
         batch,
@@ -327,8 +360,14 @@ def learn(
                 agent.critic_normalizer,
             )  # fmt: skip
         changes, state = optimizer.update(mean(grads), state)
-        params = jax.tree.map(lambda p, c: p - rate * c, params, changes)
-        return (params, state), scalars
+        policy, value = (
+            jax.tree.map(lambda p, c, rate=rate: p - rate * c, before, change)
+            for before, change, rate in (
+                (params.policy, changes.policy, rates.policy),
+                (params.value, changes.value, rates.value),
+            )
+        )
+        return (PPONetworkParams(policy=policy, value=value), state), scalars
 
     def epoch(carry: tuple, key: jax.Array) -> tuple[tuple, dict[str, jax.Array]]:
         key_order, key_steps = jax.random.split(key)
@@ -349,9 +388,10 @@ def learn(
         critic_normalizer = critic_normalizer and update(critic_normalizer, batch.critic_obs)
     steps = batch_steps(batch, axis)
     reached = progress + jnp.float32(steps) / hyper.total_steps
+    noise = hyper.noise_floor, hyper.noise_ceiling
     agent = replace(
         agent,
-        params=params.replace(policy=keep_noise(params.policy, hyper.noise_floor, reached)),
+        params=params.replace(policy=keep_noise(params.policy, *noise, reached)),
         optimizer=state,
         normalizer=normalizer,
         returns=returns,

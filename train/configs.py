@@ -75,8 +75,6 @@ class LearnConfig(EnvFlags):
     """Decay the learning rate linearly to zero over the run."""
     max_grad_norm: float = 0.5
     """Maximum gradient norm; larger gradients are scaled down to it."""
-    clip_apart: bool = False
-    """Apply max_grad_norm to policy and value function separately, instead of to both together."""
     gamma: float = 0.99
     """Discount factor per step."""
     gae_lambda: Annotated[float, tyro.conf.arg(aliases=["--tau"])] = 0.95

@@ -69,13 +69,14 @@ def state_at(cost=-1.0, integral=0.0):
 def test_multiplier_rises_above_the_limit_falls_below_it_and_rests_at_it():
     hyper = ConstraintHyper(2.0, 200.0, 0.0, 0.1, 0.0, 0.0, 0.0, 9.0)
     _, above, multiplier = control(state_at(), jnp.float32(6.0), hyper)
-    assert float(above) == pytest.approx(0.1 * 0.5) == float(multiplier)  # (6 - 2) / (6 + 2)
+    assert float(above) == pytest.approx(0.1 * 0.5)  # (6 - 2) / (6 + 2)
+    assert float(multiplier) == pytest.approx(9.0 * 0.1 * 0.5)  # that share of the largest
     _, below, _ = control(state_at(integral=1.0), jnp.float32(0.0), hyper)
     assert float(below) == pytest.approx(0.9)  # as far down as it ever goes in one update
     cost, rests, _ = control(state_at(2.0, 1.0), jnp.float32(2.0), hyper)
     assert (float(cost), float(rests)) == (2.0, 1.0)
-    _, most, multiplier = control(state_at(integral=9.0), jnp.float32(60.0), hyper)
-    assert float(most) == float(multiplier) == 9.0
+    _, most, multiplier = control(state_at(integral=1.0), jnp.float32(60.0), hyper)
+    assert (float(most), float(multiplier)) == (1.0, 9.0)
     _, floor, multiplier = control(state_at(integral=0.0), jnp.float32(0.5), hyper)
     assert float(floor) == float(multiplier) == 0.0
     _, error_of_none, _ = control(
@@ -99,13 +100,13 @@ def test_the_limit_is_tightened_during_the_run():
 
 
 def test_proportional_and_derivative_parts_answer_to_the_smoothed_cost():
-    hyper = ConstraintHyper(1.0, 200.0, 2.0, 0.0, 0.0, 0.0, 0.0, 9.0)
+    hyper = ConstraintHyper(1.0, 200.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     cost, _, multiplier = control(state_at(1.0), jnp.float32(11.0), hyper)
     assert float(cost) == pytest.approx(2.0)  # a tenth of the way
     assert float(multiplier) == pytest.approx(2.0 / 3.0)
-    hyper = ConstraintHyper(1.0, 200.0, 0.0, 0.0, 3.0, 0.0, 0.0, 9.0)
+    hyper = ConstraintHyper(1.0, 200.0, 0.0, 0.0, 3.0, 0.0, 0.0, 1.0)
     _, _, rising = control(state_at(1.0), jnp.float32(11.0), hyper)
-    assert float(rising) == pytest.approx(3.0 / 3.0)
+    assert float(rising) == pytest.approx(1.0)  # 3 / 3
     _, _, falling = control(state_at(11.0), jnp.float32(1.0), hyper)
     assert float(falling) == 0.0
 
@@ -113,13 +114,10 @@ def test_proportional_and_derivative_parts_answer_to_the_smoothed_cost():
 def test_advantages_are_those_of_the_reward_less_those_of_the_cost():
     rng = np.random.default_rng(0)
     reward, cost = (jnp.asarray(x, jnp.float32) for x in rng.normal(size=(2, 50, 40)))
-    mean = lambda x: x  # noqa: E731
-    assert penalised(reward, None, mean) is reward
-    same = penalised(reward, Penalty(cost, jnp.float32(0.0)), mean)
-    np.testing.assert_allclose(same, reward / jnp.sqrt(jnp.mean(reward**2)), rtol=1e-4)
-    both = penalised(reward, Penalty(cost, jnp.float32(3.0)), mean)
-    assert float(jnp.mean(both**2)) == pytest.approx(1.0, rel=1e-3)
-    np.testing.assert_allclose(np.corrcoef(both.ravel(), (reward - 3 * cost).ravel())[0, 1], 1.0)
+    assert penalised(reward, None) is reward
+    np.testing.assert_array_equal(penalised(reward, Penalty(cost, jnp.float32(0.0))), reward)
+    both = penalised(reward, Penalty(cost, jnp.float32(3.0)))
+    np.testing.assert_allclose(both, reward - 3 * cost, rtol=1e-6)
 
 
 @pytest.fixture(scope="module")

@@ -9,13 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from brax.training.agents.ppo.losses import PPONetworkParams
 from fake_env import FakeEnv
 from train_runs import same_bytes
 
 from train.configs import PPOConfig
 from train.learning.agents import Agents
-from train.learning.ppo import Hyper, clip_gradients
+from train.learning.ppo import Hyper
 from train.learning.rollout import init_rollout
 from train.learning.update import make_updates
 
@@ -79,18 +78,6 @@ def test_the_program_of_another_configuration_is_the_same(program):
     plain = text()
     assert text(**OTHERS, num_env_steps=123_456, seed=9) == plain
     assert text(ppo_epoch=3) != plain
-
-
-def test_gradients_are_clipped_together_or_apart():
-    grads = PPONetworkParams(policy={"a": jnp.array([0.3, 0.4])}, value={"b": jnp.array([12.0])})
-    together = clip_gradients(grads, 1.0, 0.0)
-    norm = np.hypot(0.5, 12.0)
-    np.testing.assert_allclose(together.policy["a"], np.array([0.3, 0.4]) / norm, rtol=1e-6)
-    np.testing.assert_allclose(together.value["b"], [12 / norm], rtol=1e-6)
-    apart = clip_gradients(grads, 1.0, 1.0)
-    np.testing.assert_allclose(apart.policy["a"], [0.3, 0.4], rtol=1e-6)
-    np.testing.assert_allclose(apart.value["b"], [1.0], rtol=1e-6)
-    np.testing.assert_allclose(clip_gradients(grads.value, 3.0, 1.0)["b"], [3.0], rtol=1e-6)
 
 
 def test_before_the_value_function_is_warm_the_policy_stays_as_it_is(program):

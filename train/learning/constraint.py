@@ -5,9 +5,10 @@ to 1 more for how far: 1.5 at one and a half times the limit, 2 from twice the l
 gains by pressing less hard, and as every step above the limit costs at least 1, the mean cost of an episode is never less
 than the share of episodes that are not gentle: a limit of 0.05 asks for 95 % of them, or more.
 
-The policy learns from the advantage ``A_reward - multiplier * A_cost``, both of unit variance, so that a multiplier of 1 weighs them alike
-however rare costs have become. ``A_cost`` comes from a value function of the cost, with the architecture and the learning
-rate of the other. The multiplier is set before every update by a PID controller (Stooke, Achiam and Abbeel 2020, "Responsive safety in
+The policy learns from the advantage ``A_reward - multiplier * A_cost``. Rewards are divided by the deviation of the discounted return
+(``normalize_reward``), and costs are counted, so the multiplier says how many such deviations a step above the limit costs. (Were both
+of unit variance, the fewer costs are left, the more each would weigh: policies gave up the task.) ``A_cost`` comes from a value function of
+the cost, with the architecture and the learning rate of the other. The multiplier is set before every update by a PID controller (Stooke, Achiam and Abbeel 2020, "Responsive safety in
 reinforcement learning by PID Lagrangian methods"): the integral finds its level, the proportional part keeps that from
 swinging, the derivative answers to a cost that rises.
 
@@ -15,8 +16,9 @@ Some things are not as in that paper. The limit is tightened during the run, fro
 first step on, a policy learns to keep away from the person before it learns the task, and stays there (FeedingJaco, 300,000 steps: no success,
 no contact). And the multiplier is bounded: where sampled actions cannot be so gentle, ever more weight on the cost makes a policy give up
 the task. The controller's error is ``(cost - limit) / (cost + limit)``, within [-1, 1]: at first the cost of an
-episode can be a thousand limits, and an integral of the difference would take thousands of updates to unwind. And the sum of both
-advantages is scaled to unit variance, which takes the place of a division by ``1 + multiplier``.
+episode can be a thousand limits, and an integral of the difference would take thousands of updates to unwind. The controller moves the share
+of the largest multiplier that is used. And the sum of both advantages is scaled to unit variance, which takes the place of a division by
+``1 + multiplier``.
 """
 
 from __future__ import annotations
@@ -41,10 +43,6 @@ COST_LOSSES = (*SHARED, "cost_value_loss")
 """Names of the scalars that learning under a limit tells besides."""
 SMOOTHING = 0.1
 """Share of the newest update in the cost that the controller sees: an update of 20,000 steps has some ten costs near the limit."""
-LEAST_SCALE = 0.05
-"""Deviation of cost advantages below which they are not scaled up: there is nothing to learn from but the value function's errors."""
-
-
 LEAST_LIMIT = 0.01
 """Up to which a limit is tightened by equal factors; a limit of 0 then follows at once."""
 
@@ -61,7 +59,7 @@ class ConstraintHyper:
     derivative: Any
     tighten_from: Any  # share of the run
     tighten_until: Any  # share of the run
-    largest: Any  # multiplier
+    largest: Any  # multiplier; gains are shares of it
 
     @classmethod
     def of(cls, config: LearnConfig, episode_length: int) -> ConstraintHyper | None:
@@ -90,7 +88,7 @@ class ConstraintState:
     params: Any  # of the cost's value function
     optimizer: optax.OptState
     cost: jax.Array  # of an episode, smoothed over updates; -1 before the first    ()
-    integral: jax.Array  # of the controller                                       ()
+    integral: jax.Array  # of the controller, a share of the largest multiplier    ()
     multiplier: jax.Array  # of the last update                                    ()
 
 
@@ -153,10 +151,10 @@ def control(
     new = old + SMOOTHING * (cost - old)
     limit = hyper.limit_at(jnp.asarray(progress))
     error, before = (_error(x, limit) for x in (new, old))
-    integral = jnp.clip(state.integral + hyper.integral * error, 0.0, hyper.largest)
+    integral = jnp.clip(state.integral + hyper.integral * error, 0.0, 1.0)
     rise = jnp.maximum(0.0, error - before)
-    multiplier = hyper.proportional * error + integral + hyper.derivative * rise
-    return new, integral, jnp.clip(multiplier, 0.0, hyper.largest)
+    share = hyper.proportional * error + integral + hyper.derivative * rise
+    return new, integral, hyper.largest * jnp.clip(share, 0.0, 1.0)
 
 
 def _error(cost: jax.Array, limit: jax.Array) -> jax.Array:
@@ -168,18 +166,15 @@ def _error(cost: jax.Array, limit: jax.Array) -> jax.Array:
 class Penalty:
     """What the cost makes of advantages."""
 
-    advantage: jax.Array  # of the cost, of unit variance    (T, B)
+    advantage: jax.Array  # of the cost, centred    (T, B)
     multiplier: jax.Array  # ()
 
 
-def penalised(
-    advantage: jax.Array, penalty: Penalty | None, mean: Callable[[Any], Any]
-) -> jax.Array:
-    """Normalised advantages of the reward (T, B), less those of the cost; of unit variance."""
+def penalised(advantage: jax.Array, penalty: Penalty | None) -> jax.Array:
+    """Centred advantages of the reward (T, B), less those of the cost."""
     if penalty is None:
         return advantage
-    both = advantage - penalty.multiplier * penalty.advantage
-    return both / (jnp.sqrt(mean(jnp.mean(both**2))) + 1e-5)
+    return advantage - penalty.multiplier * penalty.advantage
 
 
 def learn_constraint(
@@ -225,7 +220,6 @@ def learn_constraint(
         batch.cost, values, next_values, batch.done, hyper.gamma, hyper.gae_discount
     )
     centred = advantage - mean(advantage.mean())
-    scale = jnp.maximum(jnp.sqrt(mean(jnp.mean(centred**2))), LEAST_SCALE)
 
     read = batch.obs if batch.critic_obs is None else batch.critic_obs
     read, target = read.reshape(-1, read.shape[-1]), (advantage + values).reshape(-1)
@@ -247,4 +241,4 @@ def learn_constraint(
     (params, opt_state), errors = jax.lax.scan(step, (state.params, state.optimizer), rows)
     told = {"cost": cost, "multiplier": multiplier, "cost_value_loss": mean(jnp.mean(errors))}
     state = ConstraintState(params, opt_state, smooth, integral, multiplier)
-    return state, Penalty(centred / scale, multiplier), told
+    return state, Penalty(centred, multiplier), told

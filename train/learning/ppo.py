@@ -68,7 +68,6 @@ class Hyper:
     noise_floor: Any  # least deviation of the exploration noise
     noise_ceiling: Any  # largest deviation at the end; 0: none
     value_warm_up: Any  # share of the run before which the policy stays as it is
-    clip_apart: Any  # 1: gradients of policy and value function are clipped each by itself
     constraint: ConstraintHyper | None = None  # None without a cost limit
 
     @classmethod
@@ -102,7 +101,6 @@ class Hyper:
             "noise_floor": config.noise_floor,
             "noise_ceiling": config.noise_ceiling,
             "value_warm_up": config.value_warm_up,
-            "clip_apart": config.clip_apart,
         }
         numbers = {name: np.float32(value) for name, value in values.items()}
         constraint = ConstraintHyper.of(config, episode_length)
@@ -138,33 +136,9 @@ def architecture(config: LearnConfig, observation_size: int, action_size: int) -
     )
 
 
-def clip_gradients(grads: Any, max_norm: Any, apart: Any) -> Any:
-    """Gradients of a norm that is not above a largest one.
-
-    Args:
-        grads: of policy and value function, or of a value function alone.
-        max_norm: largest norm    ().
-        apart: 1: of policy and value function each; 0: of both together    ().
-    """
-
-    def factor(part: Any) -> jax.Array:
-        return jnp.minimum(1.0, max_norm / jnp.maximum(optax.global_norm(part), 1e-12))
-
-    def scaled(part: Any) -> Any:
-        by = jnp.where(apart > 0, factor(part), factor(grads))
-        return jax.tree.map(lambda x: by * x, part)
-
-    if not isinstance(grads, PPONetworkParams):
-        return scaled(grads)
-    return PPONetworkParams(policy=scaled(grads.policy), value=scaled(grads.value))
-
-
-def make_optimizer(
-    max_grad_norm: Any = 0.5, eps: Any = 1e-5, clip_apart: Any = 0.0
-) -> optax.GradientTransformation:
+def make_optimizer(max_grad_norm: Any = 0.5, eps: Any = 1e-5) -> optax.GradientTransformation:
     """Gradient clipping and Adam, without the learning rate; its state is the same for all arguments."""
-    clip = optax.stateless(lambda grads, _: clip_gradients(grads, max_grad_norm, clip_apart))
-    return optax.chain(clip, optax.scale_by_adam(eps=eps))
+    return optax.chain(optax.clip_by_global_norm(max_grad_norm), optax.scale_by_adam(eps=eps))
 
 
 def init_agent(
@@ -316,11 +290,11 @@ def learn(
             reward, values, next_values, batch.done, hyper.gamma, hyper.gae_discount
         )
         centred = advantage - mean(advantage.mean())
-        scale = jnp.sqrt(mean(jnp.mean(centred**2))) + 1e-5
-        used = penalised(centred / scale, penalty, mean)
+        used = penalised(centred, penalty)
+        used = used / (jnp.sqrt(mean(jnp.mean(used**2))) + 1e-5)
         return flat({"value": values, "target": advantage + values, "advantage": used})
 
-    optimizer = make_optimizer(hyper.max_grad_norm, hyper.eps, hyper.clip_apart)
+    optimizer = make_optimizer(hyper.max_grad_norm, hyper.eps)
     progress = agent.env_steps.astype(jnp.float32) / hyper.total_steps
     rate = hyper.lr * jnp.where(hyper.lr_decays > 0, jnp.maximum(0.0, 1.0 - progress), 1.0)
     rates = PPONetworkParams(

@@ -4,7 +4,8 @@ RUNS are folders that ``agym-jax suite`` had as ``--save-dir``. Of each run whos
 (``results/selection.jsonl``), what training was (``results/seed_training.jsonl``) and what the chosen policy achieves
 over other people are kept. The chosen policy replaces the one that ships where it succeeds more often, over the same people in
 the same physics if ``select`` measured both; where none ships, from ``--least`` on. Of runs under a cost limit, gentle successes
-count, as long as at most 5 of 100 successes are lost; choice and limit are in ``results/gentle.jsonl``. Then the tables and the picture of the curves are made anew.
+count, as long as at most 5 of 100 successes are lost; choice and limit are in ``results/gentle.jsonl``.
+Of runs that began with a policy (``--robot-policy``), the choice is in ``results/continued.jsonl``. Then the tables and the picture of the curves are made anew.
 Collecting the same runs again changes nothing.
 """
 
@@ -35,6 +36,8 @@ POLICIES = RESULTS.parent.parent / "assets" / "policies"
 FOR_GENTLENESS = 0.05
 """Success that a policy trained under a cost limit may lack, compared with the one that it replaces."""
 LARGEST = 1_000_000  # bytes of a policy file; the largest networks take 740 kB
+ABOUT = ("cost_limit", "cost_multiplier_max", "started_from")
+"""Fields of a training that its choice is kept with, if it had a cost limit or began with a policy."""
 MEASURED = ("commit", "device", "versions", "time", "impl")
 """Fields of a choice that hold for everything measured with it."""
 
@@ -77,6 +80,11 @@ class Found:
     def gentle(self) -> bool:
         """Whether it was trained under a cost limit, so that its seeds were chosen by their gentle successes."""
         return bool(self.choice.get("chosen_gently"))
+
+    @property
+    def continued(self) -> bool:
+        """Whether it went on with a robot's policy: what its seeds achieve says nothing of a training from nothing."""
+        return bool(self.training["started_from"]) and not parse(self.run.name).active
 
 
 def find(config: CollectConfig) -> list[Found]:
@@ -225,8 +233,9 @@ def collect(found: Found, config: CollectConfig) -> tuple[bool, str]:
     name, choice = found.run.name, found.choice
     ships, why = decide(found, config.least)
     if not config.dry:
-        if found.gentle:
-            put("gentle", {**choice, "cost_limit": found.training["cost_limit"]}, ("env", "time"))
+        about = {name: found.training[name] for name in ABOUT}
+        if found.gentle or found.continued:
+            put("gentle" if found.gentle else "continued", {**choice, **about}, ("env", "time"))
         else:
             put("selection", choice, ("env", "time"))
             put("seed_training", found.training, ("env", "time"))

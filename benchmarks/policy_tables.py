@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Sequence
 from operator import itemgetter
 from pathlib import Path
 
@@ -51,7 +52,7 @@ def chosen_among(folder: Path = RESULTS) -> str:
     """Among how many seeds each shipped policy was chosen, in a sentence."""
     chosen = {
         (x["env"], x["commit"][:COMMIT], x["chosen"]): len(x["seeds"])
-        for name in ("selection", "gentle", "candidates")
+        for name in ("selection", "gentle", "continued", "candidates")
         for x in read_results(name, ("env", "commit", "chosen"), folder)
         if "chosen" in x
     }
@@ -122,26 +123,50 @@ def selections(folder: Path = RESULTS) -> str:
 def gentle(folder: Path = RESULTS) -> str:
     """What trainings under a cost limit achieve, beside the policy that shipped before."""
 
-    def shares(values: list[float]) -> str:
-        return ", ".join(f"{100 * x:.3g}" for x in values)
-
     def figures(x: Line) -> str:
         return f"{x['gentle_success']:.1%}, {x['success']:.1%}, {x['peak_median']:.0f} N"
 
     columns = {
         "environment": lambda x: x["env"],
         "limit": lambda x: f"{x['cost_limit']:g}",
-        "seeds x steps": lambda x: f"{len(x['seeds'])} x {x['num_env_steps'] / 1e6:.3g} M",
-        "gentle success of each seed [%]": lambda x: shares(x["gentle_success_of_seeds"]),
-        "success of each seed [%]": lambda x: shares(x["success_of_seeds"]),
+        "largest multiplier": lambda x: f"{x.get('cost_multiplier_max', 2.0):g}",
+        "begins with": lambda x: "the policy before" if x.get("started_from") else "a new policy",
+        "seeds x steps": _seeds_and_steps,
+        "gentle success of each seed [%]": lambda x: _of_seeds(x["gentle_success_of_seeds"]),
+        "success of each seed [%]": lambda x: _of_seeds(x["success_of_seeds"]),
         "chosen seed, over other people: gentle, success, median peak": lambda x: (
             f"{x['chosen']}: {figures(x['reported'])}"
         ),
-        "trained without a limit": lambda x: figures(x["shipped"]),
+        "the policy before": lambda x: figures(x["shipped"]),
     }
-    lines = read_results("gentle", ("env", "cost_limit"), folder)
+    by = ("env", "cost_limit", "cost_multiplier_max", "started_from")
+    return _of_runs(read_results("gentle", by, folder), columns)
+
+
+def continued(folder: Path = RESULTS) -> str:
+    """What trainings that go on with a policy achieve, beside that policy."""
+    columns = {
+        "environment": lambda x: x["env"],
+        "seeds x steps": _seeds_and_steps,
+        "success of each seed [%]": lambda x: _of_seeds(x["success_of_seeds"]),
+        "worst": lambda x: f"{min(x['success_of_seeds']):.1%}",
+        "chosen seed, over other people": lambda x: f"{x['chosen']}: {x['chosen_success']:.1%}",
+        "the policy before": lambda x: f"{x['shipped']['success']:.1%}",
+    }
+    return _of_runs(read_results("continued", ("env",), folder), columns)
+
+
+def _of_runs(lines: list[Line], columns: dict[str, Callable[[Line], str]]) -> str:
     episodes = several(f"{x['episodes']:,}" for x in lines)
     return table(lines, columns, itemgetter("env"), f"{episodes} episodes of each seed, mode;")
+
+
+def _seeds_and_steps(line: Line) -> str:
+    return f"{len(line['seeds'])} x {line['num_env_steps'] / 1e6:.3g} M"
+
+
+def _of_seeds(values: Sequence[float]) -> str:
+    return ", ".join(f"{100 * x:.3g}" for x in values)
 
 
 def candidates(folder: Path = RESULTS) -> str:

@@ -45,6 +45,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "selections": policy_tables.selections,
     "sweeps": policy_tables.sweeps,
     "gentle": policy_tables.gentle,
+    "continued": policy_tables.continued,
     "limits": care_tables.limits,
     "candidates": policy_tables.candidates,
     "together": policy_tables.together,

@@ -112,11 +112,13 @@ class LearnConfig(EnvFlags):
     cost_proportional: float = 1.0
     """With cost_limit: proportional gain of the controller of the cost multiplier."""
     cost_integral: float = 0.05
-    """With cost_limit: integral gain per update; the multiplier grows by this much per update if the cost is far too high."""
+    """With cost_limit: integral gain per update; the multiplier grows by this share of the largest one per update if the
+    cost is far too high."""
     cost_derivative: float = 0.5
     """With cost_limit: derivative gain per update, applied while the cost is rising."""
-    cost_multiplier_max: float = 2.0
-    """With cost_limit: largest multiplier. At 1, cost and reward have equal weight; far above, the task may be given up."""
+    cost_multiplier_max: float = 0.5
+    """With cost_limit: largest multiplier, which the gains above are shares of. It says how many standard deviations of the
+    return (normalize_reward) a step above the comfort limit costs; if it is too large, the task may be given up."""
     cost_tighten_from: float = 0.35
     """With cost_limit: fraction of the run after which the limit, initially unbounded, tightens; the task is learned first."""
     cost_tighten_until: float = 0.7

@@ -244,3 +244,27 @@ def test_the_results_of_this_repository_are_whole():
     for line in markdown.read_results("selection", ("env",)):
         assert line["commit"] and line["chosen_over"] != line["reported_over"]
     assert set(shipped.shipped()) <= shipped.recorded().keys()
+
+
+@pytest.mark.slow
+def test_what_went_on_with_a_policy_is_told_apart_from_what_began_with_nothing(runs, repository):
+    kept = repository / "policies" / f"{ALONE}.npz"
+    kept.write_bytes((runs / ALONE / "seed_1" / "policy.npz").read_bytes())
+    was = json.loads((runs / ALONE / "selection.jsonl").read_text())["reported"]
+    fields = {"reported": was | {"success": 0.6}, "shipped": was | {"success": 0.5}}
+    path, before = change(runs, ALONE, **fields, shipped_unfit="", commit="c" * 40)
+    config = runs / ALONE / "config.json"
+    settings = config.read_text()
+    config.write_text(settings.replace('"robot_policy": null', '"robot_policy": "shipped"'))
+    try:
+        (found,) = collecting.find(collecting.CollectConfig((runs,), (ALONE,)))
+        told, _ = collecting.collect(found, collecting.CollectConfig((runs,)))
+    finally:
+        path.write_text(before)
+        config.write_text(settings)
+    assert told
+    (line,) = lines(repository, "continued")
+    assert line["started_from"] == "shipped" and line["cost_limit"] is None
+    assert not lines(repository, "selection") and not lines(repository, "seed_training")
+    (row,) = policy_tables.continued(repository / "results").splitlines()[2:3]
+    assert row.startswith(f"| {ALONE} | 2 x 0.00096 M |") and row.endswith("| 50.0% |")

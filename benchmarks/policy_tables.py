@@ -156,7 +156,7 @@ def continued(folder: Path = RESULTS) -> str:
     return _of_runs(read_results("continued", ("env",), folder), columns)
 
 
-def _of_runs(lines: list[Line], columns: dict[str, Callable[[Line], str]]) -> str:
+def _of_runs(lines: list[Line], columns: dict[str, Callable[..., str]]) -> str:
     episodes = several(f"{x['episodes']:,}" for x in lines)
     return table(lines, columns, itemgetter("env"), f"{episodes} episodes of each seed, mode;")
 

@@ -20,6 +20,7 @@ from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
 from agym_jax.flags import Count
 
+from .configs import plain
 from .envs import make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
@@ -69,7 +70,7 @@ def main(
     prog: str = f"python -m {__package__}.compare",
 ) -> int:
     """Run the command line and return the exit status."""
-    config = tyro.cli(CompareConfig, prog=prog, args=arguments, description=__doc__)
+    config = tyro.cli(CompareConfig, prog=prog, args=arguments, description=plain(__doc__))
     runs = [Path(run).resolve() for run in config.runs]
     if config.json:
         check_writable(Path(config.json).parent, "Choose another file with --json.")

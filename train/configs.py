@@ -140,15 +140,16 @@ class LearnConfig(EnvFlags):
     continue until rare successes are found."""
     noise_ceiling: float = 0.0
     """Largest standard deviation of "normal" at the end of the run, decreasing to it from 1 by equal factors; 0 = no bound.
-    Makes a policy learn to act without noise, as --robot-policy is evaluated."""
+    Policies are evaluated without noise; this lets them learn to act so. For policies that can do the task already
+    (--robot-policy): in new ones, it stops exploration too early."""
     policy_head_gain: float = 0.01
     """Gain of the initial weights of the policy's last layer (Assistive Gym: 1)."""
 
     robot_policy: str | None = None
     """Policy file from which the robot's training starts; "shipped": the policy included for the environment."""
-    value_warm_up: float = 0.0
-    """Fraction of the run in which only the value functions learn. With --robot-policy, 0.05 keeps the policy from being
-    spoiled by value functions that know nothing yet."""
+    value_warm_up: float | None = None
+    """Fraction of the run in which only the value functions learn, so that a policy that can do the task already is not
+    spoiled by value functions that know nothing yet. None: 0.05 if training starts from a policy, otherwise 0."""
 
     log_interval: Count = 0
     """Updates between log lines; 0 = about 80 lines per run."""
@@ -187,8 +188,9 @@ class LearnConfig(EnvFlags):
                 )
         check_save_dir(self.save_dir)
         for name in SHARES:
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigError(f"{name} must be between 0 and 1, got {getattr(self, name)}.")
+            value = getattr(self, name)
+            if value is not None and not 0 <= value <= 1:
+                raise ConfigError(f"{name} must be between 0 and 1, got {value}.")
         for name in NOT_NEGATIVE:
             value = getattr(self, name)
             if value is not None and not 0 <= value < math.inf:
@@ -260,6 +262,8 @@ NUM_ENVS = {"cpu": 64, "gpu": 1024, "tpu": 1024}
 """Default number of environments by kind of device."""
 LEAST_RECOMPUTED = 10_000
 """Samples per update from which advantages are recomputed before every pass."""
+WARM_UP = 0.05
+"""Fraction of a run that starts from a policy in which only the value functions learn."""
 LEAST_SAMPLES = 80
 """Smallest mini-batch, if ``num_mini_batch`` would divide a small batch into smaller ones."""
 
@@ -308,7 +312,12 @@ def parse_arguments(
 
 def first_paragraph(doc: str | None) -> str:
     """Return the first paragraph of a module's docstring as the description of a command."""
-    return (doc or "").partition("\n\n")[0].replace("``", "")
+    return plain(doc).partition("\n\n")[0]
+
+
+def plain(doc: str | None) -> str:
+    """Return a module's docstring as the description of a command, without marks of code."""
+    return (doc or "").replace("``", "")
 
 
 def resolve(config: Config, platform: str, devices: int = 1) -> Config:
@@ -348,6 +357,12 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
         )
     if config.recompute_advantages is None:
         config = dataclasses.replace(config, recompute_advantages=batch >= LEAST_RECOMPUTED)
+    if config.value_warm_up is None:
+        goes_on = any(
+            getattr(config, f"{agent}_policy", None) and not getattr(config, f"freeze_{agent}", 0)
+            for agent in ("robot", "human")
+        )
+        config = dataclasses.replace(config, value_warm_up=WARM_UP if goes_on else 0.0)
     total = updates_in(config.num_env_steps, batch)
     log_interval = config.log_interval or max(1, round(total / 80))
     save_interval = config.save_interval or max(1, math.ceil(total / 10))

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import jax
 import tyro
@@ -30,6 +30,7 @@ from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.files import FILE_NAMES, find_policies, load_policies, load_policy
 from agym_jax.policy.policy import read_policy
 
+from .configs import plain
 from .envs import changed, make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
@@ -56,8 +57,8 @@ class SelectConfig:
     """Seed of the episodes used to choose among the run's seeds."""
     report_seed: int = 1001
     """Seed of the episodes used to report the results of the chosen seed."""
-    gently: bool | None = None
-    """Choose the seed with the most gentle successes instead of the most successes; None: if the run had a --cost-limit."""
+    by: Literal["auto", "success", "gentle"] = "auto"
+    """What the best seed has most of: successes or gentle successes; "auto": gentle successes if the run had a --cost-limit."""
     shipped: bool = True
     """Also evaluate the policy that ships with agym_jax, if there is one, on the same people as the chosen one."""
     impl: str = "auto"
@@ -125,7 +126,7 @@ def select(
     evaluator: Evaluator, policies: dict[int, AnyPolicy], config: SelectConfig
 ) -> tuple[SeedScores, EvaluationResult]:
     """Evaluate all policies, choose the best, and evaluate it again."""
-    gently = had_limit(Path(config.run)) if config.gently is None else config.gently
+    gently = had_limit(Path(config.run)) if config.by == "auto" else config.by == "gentle"
     key = jax.random.PRNGKey(config.seed)
     scores = score_seeds(evaluator, policies, key, gently=gently)
     return scores, evaluator(policies[scores.best], jax.random.PRNGKey(config.report_seed))
@@ -153,7 +154,7 @@ def main(
     prog: str = f"python -m {__package__}.select",
 ) -> int:
     """Run the command line and return the exit status."""
-    config = tyro.cli(SelectConfig, prog=prog, args=arguments, description=__doc__)
+    config = tyro.cli(SelectConfig, prog=prog, args=arguments, description=plain(__doc__))
     run = Path(config.run).resolve()
     check(config)
     if config.json:

@@ -24,6 +24,7 @@ from agym_jax.data.npz import check_writable, write_file
 from agym_jax.errors import AgymError
 from agym_jax.interrupts import raise_again
 
+from .configs import plain
 from .runs.overview import markdown, selection_of, training_summary
 from .runs.plots import plot_runs
 from .runs.progress import duration
@@ -69,7 +70,7 @@ def main(
     """Run the command line and return the exit status."""
     raise_again()
     try:
-        config = tyro.cli(SuiteConfig, prog=prog, args=arguments, description=__doc__)
+        config = tyro.cli(SuiteConfig, prog=prog, args=arguments, description=plain(__doc__))
         ids = named(config.only, list_envs())
         for name in ids:
             steps_of(config.steps, name)

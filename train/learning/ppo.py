@@ -100,7 +100,7 @@ class Hyper:
             "learns": 1.0,
             "noise_floor": config.noise_floor,
             "noise_ceiling": config.noise_ceiling,
-            "value_warm_up": config.value_warm_up,
+            "value_warm_up": config.value_warm_up or 0.0,
         }
         numbers = {name: np.float32(value) for name, value in values.items()}
         constraint = ConstraintHyper.of(config, episode_length)
@@ -231,6 +231,11 @@ def ppo_loss(
     return loss, scalars
 
 
+def moved(params: Any, changes: Any, rate: jax.Array) -> Any:
+    """Parameters after one step of an optimizer."""
+    return jax.tree.map(lambda p, c: p - rate * c, params, changes)
+
+
 def batch_steps(batch: Batch, axis: str | None) -> int:
     """Environment steps of a rollout, those of the other devices included."""
     return batch.reward.size * (1 if axis is None else jax.lax.axis_size(axis))
@@ -297,9 +302,7 @@ def learn(
     optimizer = make_optimizer(hyper.max_grad_norm, hyper.eps)
     progress = agent.env_steps.astype(jnp.float32) / hyper.total_steps
     rate = hyper.lr * jnp.where(hyper.lr_decays > 0, jnp.maximum(0.0, 1.0 - progress), 1.0)
-    rates = PPONetworkParams(
-        policy=jnp.where(progress < hyper.value_warm_up, 0.0, rate), value=rate
-    )
+    policy_rate = jnp.where(progress < hyper.value_warm_up, 0.0, rate)
     constraint, penalty, costs = learn_constraint(
         agent.constraint,
         batch,
@@ -333,15 +336,13 @@ def learn(
                 params, agent.normalizer, part, key, hyper, networks, entropy_coef,
                 agent.critic_normalizer,
             )  # fmt: skip
-        changes, state = optimizer.update(mean(grads), state)
-        policy, value = (
-            jax.tree.map(lambda p, c, rate=rate: p - rate * c, before, change)
-            for before, change, rate in (
-                (params.policy, changes.policy, rates.policy),
-                (params.value, changes.value, rates.value),
-            )
+        update: Any = optimizer.update(mean(grads), state)
+        changes, state = update
+        params = PPONetworkParams(
+            policy=moved(params.policy, changes.policy, policy_rate),
+            value=moved(params.value, changes.value, rate),
         )
-        return (PPONetworkParams(policy=policy, value=value), state), scalars
+        return (params, state), scalars
 
     def epoch(carry: tuple, key: jax.Array) -> tuple[tuple, dict[str, jax.Array]]:
         key_order, key_steps = jax.random.split(key)

@@ -71,18 +71,21 @@ def chosen_among(folder: Path = RESULTS) -> str:
 
 
 def success(folder: Path = RESULTS) -> str:
-    """How often shipped policies succeed, by task and robot."""
+    """How often shipped policies succeed, and how often gently, by task and robot."""
     lines = read_results("evaluation", ("env", "policy"), folder)
     mode = [x for x in lines if x["policy"] == "mode" and x["env"] in shipped()]
     usual = mode and Counter(x["episodes"] for x in mode).most_common(1)[0][0]
 
     def cell(x: Line) -> str:
         noted = f" of {x['episodes']:,}" if x["episodes"] != usual else ""
-        return _share(x["success"], x["episodes"]) + noted
+        gently = f" / {x['gentle_success']:.0%}" if "gentle_success" in x else ""
+        return _share(x["success"], x["episodes"]) + gently + noted
 
-    return matrix(
-        mode, cell, f"Success rate of the shipped policies, {usual:,} episodes each unless noted;"
+    note = (
+        "Episodes of the shipped policies that succeed / that also never exceed the [comfort limits](docs/care.md) of force, "
+        f"{usual:,} episodes each unless noted;"
     )
+    return matrix(mode, cell, note)
 
 
 def policies(folder: Path = RESULTS) -> str:

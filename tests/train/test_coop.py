@@ -14,6 +14,7 @@ from fake_pair_env import FakePairEnv
 from products import full
 from train_runs import check_continued, check_restored, kill_in_training, listening, same_bytes
 
+from agym_jax.errors import PolicyNotFoundError
 from agym_jax.policy import Pair, baseline_policy, load_policy
 from agym_jax.policy.agents import parts
 from agym_jax.policy.files import load_agent
@@ -356,3 +357,19 @@ def test_the_command_line_trains_two(tmp_path, capsys, restored_settings):
     with pytest.raises(SystemExit):
         coop.main([*words.split(), "--freeze-robot"], lambda *_: FakePairEnv())
     assert "--freeze-robot keeps a policy as it is" in capsys.readouterr().err
+
+
+def test_training_starts_from_the_policy_that_ships(static_env, active_env):
+    ships = load_policy(static_env.name)
+    for env, config, names in (
+        (static_env, PPOConfig(robot_policy="shipped"), ("robot",)),
+        (active_env, CoopConfig(robot_policy="shipped"), PAIR),
+    ):
+        agents = Agents(config, env, names)
+        learner = jax.eval_shape(agents.init, jax.random.PRNGKey(0))
+        start = agents.agents[0].start
+        assert same_bytes(start.weights, ships.weights)
+        shapes = jax.tree.map(lambda x: x.shape, learner.agents["robot"].params.policy)
+        assert shapes == jax.tree.map(lambda x: x.shape, ships.weights)
+    with pytest.raises(PolicyNotFoundError, match=r"ships no policy for 'FakeCarry-v0'"):
+        Agents(CoopConfig(robot_policy="shipped"), FakePairEnv(), PAIR)

@@ -111,7 +111,9 @@ def find(config: CollectConfig) -> list[Found]:
             for name in MEASURED:  # config.json may have been lost on the way
                 training[name] = training[name] or choice[name]
             training["commit"] = commit
+            chosen = read_policy(run / FILE_NAMES["robot"]).info
             about = {
+                "policy_commit": chosen.get("commit") or commit,
                 "training_time": training["time"], "num_env_steps": training["num_env_steps"],
                 "num_envs": training["num_envs"], "commit": commit,
             }  # fmt: skip
@@ -223,7 +225,7 @@ def ship(found: Found) -> Line:
                 f"{name} and at most {LARGEST:,}."
             )
         info = dict(policy.info)
-        info["commit"] = info.get("commit") or found.choice["commit"]
+        info["commit"] = found.choice["policy_commit"]
         save_policy(target / f"{name}.npz", dataclasses.replace(policy, info=info))
     return info
 

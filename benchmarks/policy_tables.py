@@ -51,9 +51,9 @@ def _success(line: Line) -> str:
 def chosen_among(folder: Path = RESULTS) -> str:
     """Among how many seeds each shipped policy was chosen, in a sentence."""
     chosen = {
-        (x["env"], x["commit"][:COMMIT], x["chosen"]): len(x["seeds"])
+        (x["env"], x.get("policy_commit", x["commit"])[:COMMIT], x["chosen"]): len(x["seeds"])
         for name in ("selection", "gentle", "continued", "candidates")
-        for x in read_results(name, ("env", "commit", "chosen"), folder)
+        for x in read_results(name, ("env", "commit", "policy_commit", "chosen"), folder)
         if "chosen" in x
     }
     among: dict[int, list[str]] = {}

@@ -118,7 +118,7 @@ class LearnConfig(EnvFlags):
     """With cost_limit: derivative gain per update, applied while the cost is rising."""
     cost_multiplier_max: float = 0.5
     """With cost_limit: largest multiplier, which the gains above are shares of. It says how many standard deviations of the
-    return (normalize_reward) a step above the comfort limit costs; if it is too large, the task may be given up."""
+    return (normalize_reward) a step just above the comfort limit costs; if it is too large, the task may be given up."""
     cost_tighten_from: float = 0.35
     """With cost_limit: fraction of the run after which the limit, initially unbounded, tightens; the task is learned first."""
     cost_tighten_until: float = 0.7
@@ -141,12 +141,12 @@ class LearnConfig(EnvFlags):
     noise_ceiling: float = 0.0
     """Largest standard deviation of "normal" at the end of the run, decreasing to it from 1 by equal factors; 0 = no bound.
     Policies are evaluated without noise; this lets them learn to act so. For policies that can do the task already
-    (--robot-policy): in new ones, it stops exploration too early."""
+    (--robot-policy); in new ones, a bound that fell was harmful."""
     policy_head_gain: float = 0.01
     """Gain of the initial weights of the policy's last layer (Assistive Gym: 1)."""
 
     robot_policy: str | None = None
-    """Policy file from which the robot's training starts; "shipped": the policy included for the environment."""
+    """Policy from which the robot's training starts: a file, an id, or "shipped" for the policy included for the environment."""
     value_warm_up: float | None = None
     """Fraction of the run in which only the value functions learn, so that a policy that can do the task already is not
     spoiled by value functions that know nothing yet. None: 0.05 if training starts from a policy, otherwise 0."""

@@ -63,7 +63,7 @@ class SweepConfig(EnvFlags):
     seed: int = 1
     """First seed, also used to draw the random combinations."""
     robot_policy: str | None = None
-    """Policy file from which all trainings start; "shipped": the policy included for the environment."""
+    """Policy from which all trainings start: a file, an id, or "shipped" for the policy included for the environment."""
     impl: str = "auto"
     """Physics: "jax", "warp", "native" or "auto"."""
     save_dir: str | None = "sweeps"

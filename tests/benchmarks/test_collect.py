@@ -64,6 +64,26 @@ def change(runs, name, **fields):
     return path, before
 
 
+def collected(runs, setting, **fields):
+    """Collect a run whose choice and settings differ: (whether it ships, what is told).
+
+    Args:
+        runs: the folder.
+        setting: text of its settings, and what stands there instead.
+        fields: of its choice.
+    """
+    path, before = change(runs, ALONE, **fields, shipped_unfit="", commit="c" * 40)
+    config = runs / ALONE / "config.json"
+    settings = config.read_text()
+    config.write_text(settings.replace(*setting))
+    try:
+        (found,) = collecting.find(collecting.CollectConfig((runs,), (ALONE,)))
+        return collecting.collect(found, collecting.CollectConfig((runs,)))
+    finally:
+        path.write_text(before)
+        config.write_text(settings)
+
+
 def lines(repository, name):
     return read_rows(repository / "results" / f"{name}.jsonl")
 
@@ -108,12 +128,7 @@ def test_what_ships_is_replaced_by_what_is_better(shipped_there, ours, ships, ru
     kept.write_bytes((runs / ALONE / "seed_1" / "policy.npz").read_bytes())
     was = json.loads((runs / ALONE / "selection.jsonl").read_text())["reported"]
     fields = {"reported": was | {"success": ours}, "shipped": was | {"success": shipped_there}}
-    path, before = change(runs, ALONE, **fields, shipped_unfit="", commit="c" * 40)
-    try:
-        (found,) = collecting.find(collecting.CollectConfig((runs,), (ALONE,)))
-        told, text = collecting.collect(found, collecting.CollectConfig((runs,)))
-    finally:
-        path.write_text(before)
+    told, text = collected(runs, ("", ""), **fields)
     assert told is ships and f"what ships has {shipped_there:.1%} over the same people" in text
     (line,) = lines(repository, "evaluation")  # the newest figure of what ships, whichever that is
     assert line["success"] == (ours if ships else shipped_there) and line["commit"] == "c" * 40
@@ -137,18 +152,8 @@ def test_under_a_cost_limit_gentle_successes_count(success, gently, ships, why, 
         "reported": was | {"success": success, "gentle_success": gently},
         "shipped": was | {"success": 0.9, "gentle_success": 0.2},
     }
-    path, before = change(
-        runs, ALONE, **fields, shipped_unfit="", commit="c" * 40, chosen_gently=True
-    )
-    config = runs / ALONE / "config.json"
-    settings = config.read_text()
-    config.write_text(settings.replace('"cost_limit": null', '"cost_limit": 0.1'))
-    try:
-        (found,) = collecting.find(collecting.CollectConfig((runs,), (ALONE,)))
-        told, text = collecting.collect(found, collecting.CollectConfig((runs,)))
-    finally:
-        path.write_text(before)
-        config.write_text(settings)
+    cost_limit = ('"cost_limit": null', '"cost_limit": 0.1')
+    told, text = collected(runs, cost_limit, **fields, chosen_gently=True)
     assert told is ships and why in text
     (line,) = lines(repository, "gentle")
     assert line["cost_limit"] == 0.1
@@ -252,16 +257,7 @@ def test_what_went_on_with_a_policy_is_told_apart_from_what_began_with_nothing(r
     kept.write_bytes((runs / ALONE / "seed_1" / "policy.npz").read_bytes())
     was = json.loads((runs / ALONE / "selection.jsonl").read_text())["reported"]
     fields = {"reported": was | {"success": 0.6}, "shipped": was | {"success": 0.5}}
-    path, before = change(runs, ALONE, **fields, shipped_unfit="", commit="c" * 40)
-    config = runs / ALONE / "config.json"
-    settings = config.read_text()
-    config.write_text(settings.replace('"robot_policy": null', '"robot_policy": "shipped"'))
-    try:
-        (found,) = collecting.find(collecting.CollectConfig((runs,), (ALONE,)))
-        told, _ = collecting.collect(found, collecting.CollectConfig((runs,)))
-    finally:
-        path.write_text(before)
-        config.write_text(settings)
+    told, _ = collected(runs, ('"robot_policy": null', '"robot_policy": "shipped"'), **fields)
     assert told
     (line,) = lines(repository, "continued")
     assert line["started_from"] == "shipped" and line["cost_limit"] is None

@@ -372,5 +372,8 @@ def test_training_starts_from_the_policy_that_ships(static_env, active_env):
         assert same_bytes(start.weights, ships.weights)
         shapes = jax.tree.map(lambda x: x.shape, learner.agents["robot"].params.policy)
         assert shapes == jax.tree.map(lambda x: x.shape, ships.weights)
+    named = PPOConfig(robot_policy=static_env.name)
+    (by_id,) = Agents(named, static_env, ("robot",)).agents
+    assert same_bytes(by_id.start.weights, ships.weights)
     with pytest.raises(PolicyNotFoundError, match=r"ships no policy for 'FakeCarry-v0'"):
         Agents(CoopConfig(robot_policy="shipped"), FakePairEnv(), PAIR)

@@ -21,7 +21,7 @@ from agym_jax.policy.agents import Part, parts
 from agym_jax.policy.check import check_policy
 from agym_jax.policy.files import find_policy
 from agym_jax.policy.networks import Architecture, make_networks, mode_action, sample_action
-from agym_jax.policy.policy import Policy, read_policy
+from agym_jax.policy.policy import Policy, read_policy, shipped
 from agym_jax.registry import static_id
 
 from ..configs import LearnConfig
@@ -37,7 +37,7 @@ from .ppo import (
 )
 from .rollout import Batch
 
-SHIPPED = "shipped"  # in place of a file to start from: the robot's policy that ships
+SHIPPED = "shipped"  # in place of a file or an id to start from: the robot's policy that ships for the environment
 STARTING = ("init_noise_std", "policy_head_gain")  # of an architecture; matter at the start only
 
 
@@ -268,8 +268,8 @@ def _make_agent(config: LearnConfig, env: Any, name: str) -> Agent:
     path = getattr(config, f"{name}_policy", None)
     start = None
     if path is not None:
-        if path == SHIPPED:
-            path = find_policy(static_id(env.name))
+        if path == SHIPPED or path in shipped():
+            path = find_policy(static_id(env.name) if path == SHIPPED else path)
         start = read_policy(path)
         check_policy(start, env, path, agent=name, other_people=True)
         arch = replace(start.arch, value_hidden=arch.value_hidden)

@@ -6,8 +6,8 @@ gains by pressing less hard, and as every step above the limit costs at least 1,
 than the share of episodes that are not gentle: a limit of 0.05 asks for 95 % of them, or more.
 
 The policy learns from the advantage ``A_reward - multiplier * A_cost``. Rewards are divided by the deviation of the discounted return
-(``normalize_reward``), and costs are counted, so the multiplier says how many such deviations a step above the limit costs. (Were both
-of unit variance, the fewer costs are left, the more each would weigh: policies gave up the task.) ``A_cost`` comes from a value function of
+(``normalize_reward``), and costs are counted, so the multiplier says how many such deviations a step just above the limit costs. (Were both
+of unit variance, each cost would weigh the more, the fewer are left.) ``A_cost`` comes from a value function of
 the cost, with the architecture and the learning rate of the other. The multiplier is set before every update by a PID controller (Stooke, Achiam and Abbeel 2020, "Responsive safety in
 reinforcement learning by PID Lagrangian methods"): the integral finds its level, the proportional part keeps that from
 swinging, the derivative answers to a cost that rises.
@@ -35,6 +35,7 @@ import optax
 from ..configs import LearnConfig
 from ..errors import ConfigError
 from .advantage import LastObservations, compute_gae, values_of
+from .optimizer import moved
 from .rollout import COMFORT_KEY, Batch, RolloutState, Totals, record_step
 
 SHARED = ("cost", "multiplier")
@@ -232,8 +233,7 @@ def learn_constraint(
         with jax.default_matmul_precision(config.gradient_precision):
             error, grads = jax.value_and_grad(loss)(params, rows)
         changes, opt_state = optimizer.update(mean(grads), opt_state)
-        params = jax.tree.map(lambda p, c: p - rate * c, params, changes)
-        return (params, opt_state), error
+        return (moved(params, changes, rate), opt_state), error
 
     keys = jax.random.split(jax.random.fold_in(key, 1), config.ppo_epoch)
     orders = jax.vmap(lambda key: jax.random.permutation(key, len(target)))(keys)

@@ -37,6 +37,7 @@ from .constraint import (
     penalised,
 )
 from .noise import keep_noise
+from .optimizer import make_optimizer, moved
 from .rollout import Batch
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
@@ -136,11 +137,6 @@ def architecture(config: LearnConfig, observation_size: int, action_size: int) -
     )
 
 
-def make_optimizer(max_grad_norm: Any = 0.5, eps: Any = 1e-5) -> optax.GradientTransformation:
-    """Gradient clipping and Adam, without the learning rate; its state is the same for all arguments."""
-    return optax.chain(optax.clip_by_global_norm(max_grad_norm), optax.scale_by_adam(eps=eps))
-
-
 def init_agent(
     arch: Architecture, key: jax.Array, critic_size: int | None = None, constrained: bool = False
 ) -> tuple[AgentState, jax.Array]:
@@ -229,11 +225,6 @@ def ppo_loss(
         "noise_std": jnp.mean(distribution.create_dist(logits).scale),
     }
     return loss, scalars
-
-
-def moved(params: Any, changes: Any, rate: jax.Array) -> Any:
-    """Parameters after one step of an optimizer."""
-    return jax.tree.map(lambda p, c: p - rate * c, params, changes)
 
 
 def batch_steps(batch: Batch, axis: str | None) -> int:
@@ -363,10 +354,10 @@ def learn(
         critic_normalizer = critic_normalizer and update(critic_normalizer, batch.critic_obs)
     steps = batch_steps(batch, axis)
     reached = progress + jnp.float32(steps) / hyper.total_steps
-    noise = hyper.noise_floor, hyper.noise_ceiling
+    policy = keep_noise(params.policy, hyper.noise_floor, hyper.noise_ceiling, reached)
     agent = replace(
         agent,
-        params=params.replace(policy=keep_noise(params.policy, *noise, reached)),
+        params=params.replace(policy=policy),
         optimizer=state,
         normalizer=normalizer,
         returns=returns,

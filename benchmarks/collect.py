@@ -5,7 +5,8 @@ RUNS are folders that ``agym-jax suite`` had as ``--save-dir``. Of each run whos
 over other people are kept. The chosen policy replaces the one that ships where it succeeds more often, over the same people in
 the same physics if ``select`` measured both; where none ships, from ``--least`` on. Of runs under a cost limit, gentle successes
 count, as long as at most 5 of 100 successes are lost; choice and limit are in ``results/gentle.jsonl``.
-Of runs that began with a policy (``--robot-policy``), the choice is in ``results/continued.jsonl``. Then the tables and the picture of the curves are made anew.
+Of runs that began with a policy (``--robot-policy``), the choice is in ``results/continued.jsonl``. What training both
+of these were is in ``results/continued_training.jsonl``. Then the tables and the picture of the curves are made anew.
 Collecting the same runs again changes nothing.
 """
 
@@ -238,6 +239,7 @@ def collect(found: Found, config: CollectConfig) -> tuple[bool, str]:
         about = {name: found.training[name] for name in ABOUT}
         if found.gentle or found.continued:
             put("gentle" if found.gentle else "continued", {**choice, **about}, ("env", "time"))
+            put("continued_training", found.training, ("env", "time"))
         else:
             put("selection", choice, ("env", "time"))
             put("seed_training", found.training, ("env", "time"))

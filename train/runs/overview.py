@@ -17,7 +17,7 @@ ENOUGH = 0.9
 """Success whose first time is told."""
 COLUMNS = (
     "env_steps", "seconds", "success", "success_low", "success_high", "success_min", "success_max",
-    "return", "return_low", "return_high",
+    "return", "return_low", "return_high", "gentle", "cost", "multiplier",
 )  # fmt: skip
 """Of the curve, that a summary keeps."""
 DIGITS = 4

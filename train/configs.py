@@ -26,7 +26,7 @@ NOT_NEGATIVE = (
     "cost_limit", "cost_proportional", "cost_integral", "cost_derivative", "cost_multiplier_max",
 )  # fmt: skip
 SHARES = (
-    "gamma", "gae_lambda", "entropy_decay_share", "value_warm_up", "cost_tighten_from", "cost_tighten_until",
+    "gamma", "gae_lambda", "entropy_decay_share", "value_warm_up", "cost_margin", "cost_tighten_from", "cost_tighten_until",
 )  # fmt: skip
 MAX_ENV_STEPS = 2**32 - 1  # the learner counts steps in 32 unsigned bits
 
@@ -119,6 +119,9 @@ class LearnConfig(EnvFlags):
     cost_multiplier_max: float = 0.5
     """With cost_limit: largest multiplier, which the gains above are shares of. It says how many standard deviations of the
     return (normalize_reward) a step just above the comfort limit costs; if it is too large, the task may be given up."""
+    cost_margin: float = 0.0
+    """With cost_limit: fraction of the comfort limit below it from which a step costs something, rising to 1 at the limit, so
+    that forces just below the limit are avoided too."""
     cost_tighten_from: float = 0.35
     """With cost_limit: fraction of the run after which the limit, initially unbounded, tightens; the task is learned first."""
     cost_tighten_until: float = 0.7

@@ -7,6 +7,7 @@ The chosen policy is copied into the run's folder, where ``evaluate``, ``enjoy``
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import sys
@@ -18,7 +19,7 @@ from typing import Annotated, Any, Literal
 import jax
 import tyro
 
-from agym_jax.changes import arguments_of
+from agym_jax.changes import Changes, arguments_of
 from agym_jax.data.npz import check_writable, write_file
 from agym_jax.errors import (
     PolicyEnvironmentError,
@@ -28,7 +29,7 @@ from agym_jax.errors import (
 from agym_jax.flags import Count
 from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.files import FILE_NAMES, find_policies, load_policies, load_policy
-from agym_jax.policy.policy import read_policy
+from agym_jax.policy.policy import read_policy, save_policy
 
 from .configs import plain
 from .envs import changed, make_env
@@ -59,6 +60,9 @@ class SelectConfig:
     """Seed of the episodes used to report the results of the chosen seed."""
     by: Literal["auto", "success", "gentle"] = "auto"
     """What the best seed has most of: successes or gentle successes; "auto": gentle successes if the run had a --cost-limit."""
+    default_settings: bool = False
+    """Evaluate in the environment with its default settings, regardless of those of the training, and mark the chosen policy as
+    meant for it. For runs that were trained with more varied people or robots than the environment has."""
     shipped: bool = True
     """Also evaluate the policy that ships with agym_jax, if there is one, on the same people as the chosen one."""
     impl: str = "auto"
@@ -86,8 +90,10 @@ def seed_folders(run: Path) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
-def load_seeds(run: Path, make: Callable[..., Any], impl: str) -> tuple[Any, dict[int, AnyPolicy]]:
-    """Return the environment of a run, with its training settings, and the policy of each of its seeds.
+def load_seeds(
+    run: Path, make: Callable[..., Any], impl: str, default_settings: bool = False
+) -> tuple[Any, dict[int, AnyPolicy]]:
+    """Return the environment of a run, with its training settings or the default ones, and the policy of each of its seeds.
 
     Raises:
         PolicyNotFoundError: if there are no policies.
@@ -95,8 +101,13 @@ def load_seeds(run: Path, make: Callable[..., Any], impl: str) -> tuple[Any, dic
     """
     folders = seed_folders(run)
     trained = read_policy(next(iter(folders.values())) / FILE_NAMES["robot"])
-    env = make(trained.info["env"], impl, **arguments_of(trained.info.get("changes", {})))
-    return env, {seed: load_policy(folder, env) for seed, folder in folders.items()}
+    changes = {} if default_settings else trained.info.get("changes", {})
+    env = make(trained.info["env"], impl, **arguments_of(changes))
+    policies = {
+        seed: load_policy(folder, None if default_settings else env)
+        for seed, folder in folders.items()
+    }
+    return env, policies
 
 
 def had_limit(run: Path) -> bool:
@@ -147,6 +158,28 @@ def measure_shipped(
     return evaluator(policy, jax.random.PRNGKey(config.report_seed)), ""
 
 
+def keep(run: Path, seed: int, env: Any) -> Changes:
+    """Copy the policies of a seed into the folder of its run, marked as meant for the environment.
+
+    Returns:
+        The settings of the training, if they are not those of the environment; otherwise none.
+    """
+    differ: Changes = {}
+    meant = getattr(env, "changes", {})
+    for name in set(FILE_NAMES.values()):
+        if not (path := seed_folders(run)[seed] / name).is_file():
+            continue
+        policy = read_policy(path)
+        trained = policy.info.get("changes", {})
+        if trained == meant:
+            write_file(run / name, path.read_bytes())  # whole, also if this is killed
+        else:
+            differ = trained
+            info = {**policy.info, "meant_for": meant}
+            save_policy(run / name, dataclasses.replace(policy, info=info))
+    return differ
+
+
 @reports_errors
 def main(
     arguments: Sequence[str] | None = None,
@@ -159,13 +192,11 @@ def main(
     check(config)
     if config.json:
         check_writable(Path(config.json).parent, "Choose another file with --json.")
-    env, policies = load_seeds(run, make, config.impl)
+    env, policies = load_seeds(run, make, config.impl, config.default_settings)
     evaluator = Evaluator(env, config.num_episodes)
     scores, reported = select(evaluator, policies, config)
     ships, unfit = measure_shipped(evaluator, config) if config.shipped else (None, "")
-    for name in set(FILE_NAMES.values()):
-        if (path := seed_folders(run)[scores.best] / name).is_file():
-            write_file(run / name, path.read_bytes())  # whole, also if this is killed
+    trained_with = keep(run, scores.best, env)
     print(scores.table())
     print(f"Chosen: seed {scores.best}, now {run / FILE_NAMES['robot']}. On other people:")
     print(reported.table())
@@ -185,6 +216,7 @@ def main(
             reported_over=config.report_seed,
             impl=str(getattr(env, "impl", config.impl)),
             **changed(env),
+            **({"trained_with": trained_with} if trained_with else {}),
             **{f"chosen_{name}": summary[name] for name in CHOSEN if name in summary},
         )
         append_record(config.json, line)

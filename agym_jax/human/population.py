@@ -18,6 +18,7 @@ from agym_jax.human import anthropometry
 
 IMPAIRMENTS = ("none", "limits", "weakness", "tremor")
 MASSES = ("body", "ag", "both")
+SIZES = ("ag", "continuous", "both")
 LEAST = {"blend": -math.inf, "stature": 0.0, "girth": 0.0}
 """Exclusive lower bounds of the ranges of sizes."""
 
@@ -56,11 +57,12 @@ class Population:
 
     Attributes:
         sizes: ``"ag"`` draws Assistive Gym's 50th-percentile man or woman with equal probability;
-            ``"continuous"`` interpolates between the two body tables and also scales stature and girth.
+            ``"continuous"`` interpolates between the two body tables and also scales stature and girth;
+            ``"both"`` draws a person of either kind with equal probability.
         impairments: the impairments to draw from, uniformly: none, limits, weakness, tremor; None = the task's own.
-        blend: range of ``sex`` if sizes are continuous (0 male, 1 female).
-        stature: range of the height scale if sizes are continuous.
-        girth: range of the radius scale if sizes are continuous.
+        blend: range of ``sex`` (0 male, 1 female) of people whose size is continuous.
+        stature: range of the height scale of people whose size is continuous.
+        girth: range of the radius scale of people whose size is continuous.
         masses: ``"body"`` places the mass of each limb where the limb is. ``"ag"`` follows Assistive Gym, for comparisons
             and transfer: every centre of mass at its joint, the inertia of boxes, joints with no damping except Bullet's
             drag and with hard stops at their limits, and no support for a seated person's shoulder girdle.
@@ -81,8 +83,8 @@ class Population:
             UnknownNameError: if a name does not exist.
             ArgumentError: if a range is empty or is ignored by ``sizes``, or there are no impairments.
         """
-        if self.sizes not in ("ag", "continuous"):
-            raise UnknownNameError("way to draw sizes", self.sizes, ("ag", "continuous"))
+        if self.sizes not in SIZES:
+            raise UnknownNameError("way to draw sizes", self.sizes, SIZES)
         if self.masses not in MASSES:
             raise UnknownNameError("distribution of masses", self.masses, MASSES)
         if self.impairments is not None:
@@ -155,20 +157,18 @@ def sample_human(
     kind = jnp.array([IMPAIRMENTS.index(k) for k in kinds])[
         jax.random.randint(keys[0], (), 0, len(kinds))
     ]
-    if humans.sizes == "ag":
-        sex = jax.random.bernoulli(keys[1]).astype(jnp.float32)
-        stature = girth = jnp.float32(1.0)
-    else:
-        sex = jax.random.uniform(keys[1], (), minval=humans.blend[0], maxval=humans.blend[1])
-        low, high = humans.stature
-        stature = jax.random.uniform(keys[2], (), minval=low, maxval=high)
-        low, high = humans.girth
-        girth = jax.random.uniform(keys[3], (), minval=low, maxval=high)
+    sex, stature, girth = _size(humans, *keys[1:4])
     limits = jax.random.uniform(keys[4], (), minval=0.5, maxval=1.0)
     strength = jax.random.uniform(keys[5], (), minval=0.25, maxval=1.0)
     at_joints = jnp.float32(humans.masses == "ag")
     if humans.masses == "both":  # a key of its own: everything else is drawn as without
         at_joints = jax.random.bernoulli(jax.random.fold_in(key, len(keys))).astype(jnp.float32)
+    if humans.sizes == "both":  # so that either kind is drawn as if it were the only one
+        average = jax.random.bernoulli(jax.random.fold_in(key, len(keys) + 1))
+        ag = _size(Population(), *keys[1:4])
+        sex, stature, girth = (
+            jnp.where(average, a, b) for a, b in zip(ag, (sex, stature, girth), strict=True)
+        )
     shake = jax.random.uniform(keys[6], (n_joints,), minval=-1.0, maxval=1.0)
     return Human(
         sex=sex,
@@ -179,3 +179,15 @@ def sample_human(
         tremor=jnp.where(kind == 3, shake * tremor_amplitude, 0.0),
         at_joints=at_joints,
     )
+
+
+def _size(humans: Population, *keys: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Draw sex, stature and girth, () each: an average man or woman, or a person of continuous size."""
+    if humans.sizes == "ag":
+        return jax.random.bernoulli(keys[0]).astype(jnp.float32), jnp.float32(1.0), jnp.float32(1.0)
+    ranges = (humans.blend, humans.stature, humans.girth)
+    sex, stature, girth = (
+        jax.random.uniform(key, (), minval=low, maxval=high)
+        for key, (low, high) in zip(keys, ranges, strict=True)
+    )
+    return sex, stature, girth

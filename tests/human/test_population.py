@@ -82,6 +82,22 @@ def test_continuous_sizes_fill_their_ranges():
     assert len(np.unique(p.sex)) > N / 2
 
 
+def test_people_of_both_kinds_are_drawn_as_those_of_each_kind():
+    ag, continuous, both = (crowd(Population(sizes=x)) for x in ("ag", "continuous", "both"))
+    average = (both.stature == 1) & (both.girth == 1)
+    assert abs(average.mean() - 1 / 2) < 4 * np.sqrt(1 / 4 / N)
+    for name in ("sex", "stature", "girth"):
+        expected = np.where(average, getattr(ag, name), getattr(continuous, name))
+        np.testing.assert_array_equal(getattr(both, name), expected)
+    for other in (
+        both.strength < 1,
+        both.limit_scale < 1,
+    ):  # independent of the rest, which stays as it was
+        assert abs(np.corrcoef(average, other)[0, 1]) < 5 / np.sqrt(N)
+    for name in ("strength", "limit_scale", "tremor"):
+        np.testing.assert_array_equal(getattr(both, name), getattr(ag, name))
+
+
 def test_population_may_narrow_the_tasks_impairments():
     p = crowd(Population(impairments=("weakness",)))
     assert (p.strength < 1).all() and (p.limit_scale == 1).all() and (p.tremor == 0).all()

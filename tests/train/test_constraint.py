@@ -61,6 +61,12 @@ def test_cost_is_1_above_the_limit_and_up_to_1_more_for_how_far():
     np.testing.assert_allclose(step_cost(share), [0, 0, 0, 1.0001, 1.5, 2, 2], rtol=1e-6)
 
 
+def test_with_a_margin_costs_begin_below_the_limit():
+    share = jnp.array([0.0, 0.5, 0.75, 0.9, 1.0, 1.0001, 2.0])
+    expected = [0, 0, 0, 0.6, 1, 1.0001, 2]
+    np.testing.assert_allclose(step_cost(share, 0.25), expected, rtol=1e-5, atol=1e-6)
+
+
 def state_at(cost=-1.0, integral=0.0):
     zero = jnp.zeros(())
     return ConstraintState(None, (), zero + cost, zero + integral, zero)

@@ -7,6 +7,7 @@ import dataclasses
 import json
 import shutil
 
+import jax
 import numpy as np
 import pytest
 from fake_env import FakeEnv
@@ -107,6 +108,30 @@ def test_the_chosen_seed_is_reported_over_other_episodes_and_ready_for_use(runs,
     assert f"Chosen: seed {line['chosen']}" in capsys.readouterr().out
     assert select.main([str(long), "--seed", "1001"], make) == 2
     assert "must not be reported on the episodes" in capsys.readouterr().err
+
+
+def test_a_run_of_more_varied_people_can_be_measured_among_the_usual_ones(runs, tmp_path, capsys):
+    run, file, asked = tmp_path / runs[1].name, tmp_path / "selection.jsonl", []
+    varied = {"humans.sizes": "both"}
+    for seed in (1, 2):
+        policy = read_policy(runs[1] / f"seed_{seed}" / "policy.npz")
+        (run / f"seed_{seed}").mkdir(parents=True)
+        info = {**policy.info, "changes": varied}
+        save_policy(run / f"seed_{seed}" / "policy.npz", dataclasses.replace(policy, info=info))
+
+    def record_make(name, impl, **options):
+        asked.append(options)
+        return FakeEnv(name=name)
+
+    words = [str(run), "--num-episodes", "16", "--default-settings", "--json", str(file)]
+    assert select.main(words, record_make) == 0
+    line, chosen = json.loads(file.read_text()), read_policy(run / "policy.npz")
+    assert asked == [{}] and "changes" not in line and line["trained_with"] == varied
+    assert chosen.info["meant_for"] == {} and chosen.info["changes"] == varied
+    seed = read_policy(run / f"seed_{line['chosen']}" / "policy.npz")
+    jax.tree.map(np.testing.assert_array_equal, chosen.weights, seed.weights)
+    with pytest.raises(TypeError, match="humans"):  # without it, as trained: the fake has no people
+        select.main(words[:3], lambda name, impl: FakeEnv(name=name))
 
 
 def test_a_run_without_seeds_is_refused(tmp_path, capsys):

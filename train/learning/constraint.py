@@ -1,7 +1,8 @@
 """Learning under a limit: PPO with a Lagrange multiplier, which a PID controller moves.
 
 The cost of a control step is 0 up to the comfort limit of what is touched (``agym_jax.human.regions``). Above it, the cost is 1, and up
-to 1 more for how far: 1.5 at one and a half times the limit, 2 from twice the limit on. A policy that presses far too hard thus
+to 1 more for how far: 1.5 at one and a half times the limit, 2 from twice the limit on. With a margin (``cost_margin``), costs begin that
+share below the limit and rise to 1 at it. A policy that presses far too hard thus
 gains by pressing less hard, and as every step above the limit costs at least 1, the mean cost of an episode is never less
 than the share of episodes that are not gentle: a limit of 0.05 asks for 95 % of them, or more.
 
@@ -61,6 +62,7 @@ class ConstraintHyper:
     tighten_from: Any  # share of the run
     tighten_until: Any  # share of the run
     largest: Any  # multiplier; gains are shares of it
+    margin: Any = 0.0  # share of the comfort limit below it from which steps cost something
 
     @classmethod
     def of(cls, config: LearnConfig, episode_length: int) -> ConstraintHyper | None:
@@ -70,7 +72,7 @@ class ConstraintHyper:
         gains = (config.cost_proportional, config.cost_integral, config.cost_derivative)
         shares = (config.cost_tighten_from, config.cost_tighten_until)
         numbers = (config.cost_limit, episode_length, *gains, *shares, config.cost_multiplier_max)
-        return cls(*(np.float32(x) for x in numbers))
+        return cls(*(np.float32(x) for x in (*numbers, config.cost_margin)))
 
     def limit_at(self, progress: jax.Array) -> jax.Array:
         """The limit after a share of the run: equal factors from 1 a step, that is hardly any, down to ``limit`` ()."""
@@ -108,19 +110,21 @@ def init_constraint(
     return ConstraintState(params, optimizer.init(params), zero - 1, zero, zero)
 
 
-def step_cost(share: jax.Array) -> jax.Array:
+def step_cost(share: jax.Array, margin: Any = 0.0) -> jax.Array:
     """Cost of control steps.
 
     Args:
         share: of the comfort limit that was reached; above 1 it is exceeded.
+        margin: share of the limit below it from which steps cost something; 0 = none do.
     """
-    return jnp.where(share > 1, 1 + jnp.minimum(share - 1, 1), 0.0)
+    near = jnp.clip((share - 1 + margin) / jnp.maximum(margin, 1e-6), 0.0, 1.0)
+    return jnp.where(share > 1, 1 + jnp.minimum(share - 1, 1), jnp.where(margin > 0, near, 0.0))
 
 
-def record_costs(
+def record_comfort(
     rollout: RolloutState, totals: Totals, raw: jax.Array, log_prob: Any, after: Any, *more: Any
 ) -> tuple[RolloutState, Totals, Batch]:
-    """As ``record_step``, and take note of the cost.
+    """As ``record_step``, and take note of the share of the comfort limit that was reached.
 
     Raises:
         ConfigError: the environment does not measure what its limit is about.
@@ -131,7 +135,7 @@ def record_costs(
             f"metrics are {', '.join(after.metrics)}. Leave --cost-limit out, or add {COMFORT_KEY!r}."
         )
     rollout, totals, batch = record_step(rollout, totals, raw, log_prob, after, *more)
-    return rollout, totals, replace(batch, cost=step_cost(after.metrics[COMFORT_KEY]))
+    return rollout, totals, replace(batch, of_comfort=after.metrics[COMFORT_KEY])
 
 
 def control(
@@ -196,7 +200,7 @@ def learn_constraint(
 
     Args:
         state: before the update; None without a cost limit, and then nothing happens.
-        batch: rollout of (T, B), in the agent's own view, with costs.
+        batch: rollout of (T, B), in the agent's own view, with shares of the comfort limit.
         last: what value functions read after it    (B, critic observation).
         ends: ``last_observations`` of the batch.
         key: random key of the update.
@@ -213,13 +217,12 @@ def learn_constraint(
     """
     if state is None:
         return None, None, {}
-    assert batch.cost is not None  # config.cost_limit makes both
-    cost = mean(jnp.mean(batch.cost)) * hyper.constraint.episode_length
+    assert batch.of_comfort is not None  # config.cost_limit makes both
+    costs = step_cost(batch.of_comfort, hyper.constraint.margin)
+    cost = mean(jnp.mean(costs)) * hyper.constraint.episode_length
     smooth, integral, multiplier = control(state, cost, hyper.constraint, progress)
     values, next_values = values_of(lambda obs: value(state.params, obs), batch, last, ends)
-    advantage = compute_gae(
-        batch.cost, values, next_values, batch.done, hyper.gamma, hyper.gae_discount
-    )
+    advantage = compute_gae(costs, values, next_values, batch.done, hyper.gamma, hyper.gae_discount)
     centred = advantage - mean(advantage.mean())
 
     read = batch.obs if batch.critic_obs is None else batch.critic_obs

@@ -58,7 +58,7 @@ class Batch:
     critic_obs: (
         jax.Array | None
     )  # None where the value function reads obs    (T, B, critic observation)
-    cost: jax.Array | None = None  # with a cost limit, see constraint.py    (T, B)
+    of_comfort: jax.Array | None = None  # share of the comfort limit, with a cost limit    (T, B)
 
 
 @jax.tree_util.register_dataclass

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from ..configs import LearnConfig
 from .agents import Agents, LearnerState
-from .constraint import record_costs
+from .constraint import record_comfort
 from .execution import ONE_PROGRAM, Execution
 from .ppo import Hyper
 from .rollout import (
@@ -54,7 +54,7 @@ def make_updates(
         updates: those of ``train.learning.rollout`` and ``loss/*``. ``count`` (int32) and ``hyper`` are
         arguments of the program: runs of every length and learning rate share one compilation.
     """
-    record = record_step if config.cost_limit is None else record_costs
+    record = record_step if config.cost_limit is None else record_comfort
     act, learn = execution.compile(agents.act), execution.compile(agents.learn)
 
     def run(

@@ -88,7 +88,7 @@ def training_summary(run: Path) -> dict[str, Any] | None:
         ``env, num_seeds, seeds_at_end`` (without those that diverged), ``num_env_steps`` (of each seed),
         ``num_envs, impl``, seconds of training (``train_seconds``, building excluded) and of the whole
         processes (``wall_seconds``, where a suite has kept them), when the interquartile mean of success first
-        was ``ENOUGH`` (``steps_to_90, seconds_to_90``), the ``curve``, ``cost_limit`` and ``cost_multiplier_max``,
+        was ``ENOUGH`` (``steps_to_90, seconds_to_90``), the ``curve``, ``cost_limit``, ``cost_multiplier_max`` and ``cost_margin``,
         ``started_from`` (policy of the robot, None if it was a new one), and commit, device, versions, time.
     """
     rows, path = read_rows(run / "curve.jsonl"), run / "config.json"
@@ -113,6 +113,7 @@ def training_summary(run: Path) -> dict[str, Any] | None:
         "curve": curve,
         "cost_limit": config.get("cost_limit"),
         "cost_multiplier_max": config.get("cost_multiplier_max"),
+        "cost_margin": config.get("cost_margin", 0.0),
         "started_from": config.get("robot_policy"),
         **{name: about.get(name) for name in ("commit", "device", "versions", "time")},
     }

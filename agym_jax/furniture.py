@@ -21,6 +21,7 @@ BED = SeatSpec(
     model="furniture/bed.xml",
     geoms=("mattress_collision", "edge_collision"),
     pillow=("pillow_a_front_collision",),
+    stops_arm=True,
     front=((0.75, -1.75, 2.75), (-0.45, 0.0, 0.8)),
 )
 

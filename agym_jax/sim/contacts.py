@@ -38,8 +38,8 @@ def contact_pairs(
 
     The robot's links and the tool's working part may touch every limb of ``task.human.limbs``; its trunk and the rest of the
     tool only the arm that is helped. The outline of a tool that has one takes the place of its working part but for that arm.
-    Furniture, the robot's trunk and its mount meet the tool's working part and the hand, the mount also the robot's arm
-    and a person's arm that hangs over the bed's side.
+    Furniture, the robot's trunk and its mount meet the tool's working part and the hand. Bed and mount also meet the robot's
+    wrist and forearm, and the mount a person's arm that hangs over the bed's side.
 
     Args:
         task: of the scene.
@@ -71,7 +71,8 @@ def contact_pairs(
         links = [f"robot/{g}" for g in each.links]
         outer = links[: each.hand]
         pairs["robot_human"] += [(g, f"human/{x}") for g in links for x in limbs]
-        pairs["robot_seat"] += [(g, x) for g in outer for x in seat]
+        leaning = links if task.seat.stops_arm else outer
+        pairs["robot_seat"] += [(g, x) for g in leaning for x in seat]
         pairs["robot_robot"] += [(g, x) for g in outer for x in trunk]
         inner = [f"robot/{g}" for g in robot.near_mount]
         pairs["robot_mount"] += [(g, x) for g in (*links, *inner) for x in mount]

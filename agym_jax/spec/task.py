@@ -77,6 +77,7 @@ class SeatSpec:
     geoms: tuple[str, ...]  # collision geoms that a tool, hand or limb may touch
     friction: float = 0.5  # of its material, see ``sim.contacts.pair_friction``
     front: tuple[Vec3, Vec3] | None = None  # where the camera "front" stands and looks, world [m]
+    stops_arm: bool = False  # whether the robot's wrist and forearm meet it, not only its hand
     bears_upper_arm: bool = False  # whether the upper arm may rest on it, not only forearm and hand
     rolling: float = 0.0  # rolling and spinning friction of its material with whom it bears [m]
     pillow: tuple[str, ...] = ()  # collision geoms that bear the girdle, if also the upper arm

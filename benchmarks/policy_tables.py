@@ -133,6 +133,8 @@ def gentle(folder: Path = RESULTS) -> str:
         "environment": lambda x: x["env"],
         "limit": lambda x: f"{x['cost_limit']:g}",
         "largest multiplier": lambda x: f"{x.get('cost_multiplier_max', 2.0):g}",
+        "margin": lambda x: f"{x.get('cost_margin') or 0:g}",
+        "people": lambda x: x.get("trained_with", {}).get("humans.sizes", "ag"),
         "begins with": lambda x: "the policy before" if x.get("started_from") else "a new policy",
         "seeds x steps": _seeds_and_steps,
         "gentle success of each seed [%]": lambda x: _of_seeds(x["gentle_success_of_seeds"]),
@@ -142,7 +144,7 @@ def gentle(folder: Path = RESULTS) -> str:
         ),
         "the policy before": lambda x: figures(x["shipped"]),
     }
-    by = ("env", "cost_limit", "cost_multiplier_max", "started_from")
+    by = ("env", "cost_limit", "cost_multiplier_max", "cost_margin", "started_from")
     return _of_runs(read_results("gentle", by, folder), columns)
 
 

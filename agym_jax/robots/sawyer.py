@@ -3,7 +3,8 @@
 Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robots/sawyer.xml``.
 
 DEVIATION(sawyer-pedestal): AG's arm stops, from its third link outwards, at the robot's pedestal and the base of its arm; here it
-passes through them (17 % of 5,000 random postures). How often AG's policies lean there is not known.
+passes through them (17 % of 5,000 random postures). Under the policy that ScratchItchSawyer had until 24 November 2026 they touched in AG in 5 of 14 episodes, 3 of
+the 7 that failed (90 % succeed here).
 """
 
 import math

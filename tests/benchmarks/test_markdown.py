@@ -21,10 +21,12 @@ def test_every_change_of_the_physics_is_explained_and_of_some_environment():
     [
         ("FeedingPR2-v0", "2026-11-22T23:00", True),
         ("FeedingPR2-v0", "2026-11-23T01:00", False),
-        ("ArmManipulationPR2-v0", "2026-11-23T08:00", False),
+        ("ReachingPR2-v0", "2026-11-23T08:00", False),
         ("ArmManipulationJaco-v0", "2026-11-23T08:00", True),
         ("ScratchItchPR2-v0", "2026-11-23T08:00", False),
         ("ScratchItchPR2Human-v0", "2026-11-23T08:00", True),
+        ("BedBathingBaxter-v0", "2026-11-24T08:00", False),
+        ("BedBathingSawyer-v0", "2026-11-24T08:00", True),
     ],
 )
 def test_a_result_is_of_the_physics_of_its_time(env, time, earlier):

@@ -109,6 +109,58 @@ def test_every_link_of_an_arm_meets_every_limb_and_its_trunk_the_helped_arm():
         assert {x: met[x] for x in set(met) - links} == {f"robot/{x}": arm for x in robot.trunk}
 
 
+def test_hand_wrist_and_forearm_meet_the_bed_and_the_hand_the_armrest():
+    for task, robot in itertools.product(TASKS.values(), ROBOTS.values()):
+        met = contact_pairs(task, robot, ())["robot_seat"]
+        for each in robot.arms_for(task):
+            count = len(each.links) if task.seat.name == "bed" else each.hand
+            expected = {
+                (f"robot/{x}", f"seat/{y}") for x in each.links[:count] for y in task.seat.geoms
+            }
+            others = {f"robot/{x}" for x in each.links[count:]}
+            assert expected <= set(met) and not others & {link for link, _ in met}
+
+
+@pytest.mark.parametrize(
+    ("robot", "place", "yaw", "angles"),
+    [
+        # recorded in Assistive Gym, where Sawyer's cuff and PR2's forearm or wrist rest on the edge of the bed with 1 to 9 N: base (of Sawyer its centre of mass) and arm
+        ("Sawyer", (-1.0678, -0.2758), (0.9812, 0.1932), (0.6538, 0.9060, 1.2701, -0.7526, -0.3588, -1.2657, 1.4583)),
+        ("PR2", (-1.0108, -0.4840), (0.9946, -0.1036), (1.2426, 0.5019, 1.9959, -0.9817, -0.7128, -1.2711, 0.0312)),
+        ("PR2", (-0.9640, -0.4681), (0.9986, -0.0534), (1.2996, 0.5898, 2.2355, -1.0423, -1.0098, -1.7544, 0.1318)),
+        ("PR2", (-1.0083, -0.4058), (0.9924, 0.1234), (0.3911, 0.2976, 2.8196, -0.7645, -1.7236, -1.6577, -0.1400)),
+    ],
+)  # fmt: skip
+def test_arms_rest_on_the_bed_where_they_do_in_assistive_gym(robot, place, yaw, angles):
+    robot = ROBOTS[robot]
+    scene = build_scene(WIPE, robot)
+    model, index = copy.copy(scene.model), scene.index
+    data, (cos, sin) = mujoco.MjData(model), yaw
+    pivot = np.array(robot.searches["BedBathing"].pivot)
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, np.array([cos, 0.0, 0.0, sin]))
+    model.body_pos[index.robot_base] = (*place, robot.base_height + pivot[2]) - turn.reshape(
+        3, 3
+    ) @ pivot
+    model.body_quat[index.robot_base] = (cos, 0.0, 0.0, sin)
+    data.qpos[index.robot_qpos] = angles
+    mujoco.mj_kinematics(model, data)
+    paired = {
+        frozenset((model.geom(a).name, model.geom(b).name))
+        for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)
+    }
+    gaps = {
+        (part, seat): mujoco.mj_geomDistance(
+            model, data, model.geom(part).id, model.geom(seat).id, 1.0, None
+        )
+        for part, seat in (
+            (f"robot/{x}", f"seat/{y}") for x in robot.arms["left"].links for y in WIPE.seat.geoms
+        )
+        if frozenset((part, seat)) in paired
+    }
+    assert -0.005 < min(gaps.values()) < 0.01
+
+
 # -- robots that meet themselves and what they stand on ----------------------------------------
 
 

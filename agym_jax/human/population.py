@@ -56,17 +56,17 @@ class Population:
     """The population from which each episode draws its person.
 
     Attributes:
-        sizes: ``"ag"`` draws Assistive Gym's 50th-percentile man or woman with equal probability;
-            ``"continuous"`` interpolates between the two body tables and also scales stature and girth;
-            ``"both"`` draws a person of either kind with equal probability.
+        sizes: "ag" draws Assistive Gym's 50th-percentile man or woman with equal probability;
+            "continuous" interpolates between the two body tables and also scales stature and girth;
+            "both" draws a person of either kind with equal probability.
         impairments: the impairments to draw from, uniformly: none, limits, weakness, tremor; None = the task's own.
-        blend: range of ``sex`` (0 male, 1 female) of people whose size is continuous.
+        blend: range of sex (0 male, 1 female) of people whose size is continuous.
         stature: range of the height scale of people whose size is continuous.
         girth: range of the radius scale of people whose size is continuous.
-        masses: ``"body"`` places the mass of each limb where the limb is. ``"ag"`` follows Assistive Gym, for comparisons
+        masses: "body" places the mass of each limb where the limb is. "ag" follows Assistive Gym, for comparisons
             and transfer: every centre of mass at its joint, the inertia of boxes, joints with no damping except Bullet's
             drag and with hard stops at their limits, and no support for a seated person's shoulder girdle.
-            ``"both"`` draws a person of either kind with equal probability.
+            "both" draws a person of either kind with equal probability.
     """
 
     sizes: str = "ag"

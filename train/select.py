@@ -103,11 +103,8 @@ def load_seeds(
     trained = read_policy(next(iter(folders.values())) / FILE_NAMES["robot"])
     changes = {} if default_settings else trained.info.get("changes", {})
     env = make(trained.info["env"], impl, **arguments_of(changes))
-    policies = {
-        seed: load_policy(folder, None if default_settings else env)
-        for seed, folder in folders.items()
-    }
-    return env, policies
+    fits = None if default_settings else env  # robots that varied in training are other settings
+    return env, {seed: load_policy(folder, fits) for seed, folder in folders.items()}
 
 
 def had_limit(run: Path) -> bool:

@@ -224,7 +224,8 @@ def test_settings_of_the_command_line_are_those_of_enjoy(words, monkeypatch, cap
 
 def test_settings_are_the_policys_where_nothing_else_is_asked_for(tmp_path, monkeypatch, capsys):
     policy = load_policy(ID)
-    info = {**policy.info, "changes": {"episode_length": 50}}
+    changes = {"episode_length": 50}
+    info = {**policy.info, "changes": changes, "meant_for": changes}
     save_policy(tmp_path / "mine.npz", dataclasses.replace(policy, info=info))
     words = [ID, "--policy", str(tmp_path / "mine.npz")]
     assert shown(monkeypatch, *words).changes == {"episode_length": 50}

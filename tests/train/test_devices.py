@@ -28,7 +28,7 @@ from fake_press_env import FakePairPressEnv
 from train.configs import CoopConfig, PPOConfig
 from train.learning.agents import Agents
 from train.learning.ppo import Hyper
-from train.learning.constraint import record_costs
+from train.learning.constraint import record_comfort
 from train.learning.rollout import collect, critic_obs, init_rollout, record_step
 from train.learning.seeds import SideBySide, lane_keys, lanes_of
 from train.learning.sharding import AXIS, device_mesh
@@ -69,7 +69,7 @@ for name, agents in cases.items():
     rollout, batch, _ = jax.jit(lambda rollout: collect(
         lambda obs, key: agents.act(learner, obs, key), venv, rollout, keys(2),
         num_steps=30, gamma=0.99, reward_scaling=1.0,
-        record=record_costs if limited else record_step))(rollout)
+        record=record_comfort if limited else record_step))(rollout)
     key = keys(3)
     hyper = agents.hyper(1000)
 

@@ -5,6 +5,8 @@ Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robot
 DEVIATION(sawyer-pedestal): AG's arm stops, from its third link outwards, at the robot's pedestal and the base of its arm; here it
 passes through them (17 % of 5,000 random postures). Under the policy that ScratchItchSawyer had until 24 November 2026 they touched in AG in 5 of 14 episodes, 3 of
 the 7 that failed (90 % succeed here).
+DEVIATION(sawyer-cuff): the last link is a capsule of 34 mm radius, AG's a cylinder of 65 mm radius and 50 mm length; the forearm is a capsule with AG's radius, AG's a cylinder, whose
+rim rested on the bed in AG where ours is 19 mm above it.
 """
 
 import math

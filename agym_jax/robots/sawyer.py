@@ -2,11 +2,9 @@
 
 Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robots/sawyer.xml``.
 
-DEVIATION(sawyer-pedestal): AG's arm stops, from its third link outwards, at the robot's pedestal and the base of its arm; here it
-passes through them (17 % of 5,000 random postures). Under the policy that ScratchItchSawyer had until 24 November 2026 they touched in AG in 5 of 14 episodes, 3 of
-the 7 that failed (90 % succeed here).
-DEVIATION(sawyer-cuff): the last link is a capsule of 34 mm radius, AG's a cylinder of 65 mm radius and 50 mm length; the forearm is a capsule with AG's radius, AG's a cylinder, whose
-rim rested on the bed in AG where ours is 19 mm above it.
+DEVIATION(sawyer-shapes): the arm meets the robot's pedestal and the base of its arm as in AG, from the third link outwards; both
+are capsules, AG's cylinders: 25 and 12 mm inside their upper rims, 90 and 20 mm higher in the middle. The last link is a sphere of 66 mm radius, AG's a
+coin of 65 mm radius and 50 mm length. The forearm is a capsule that ends 12 mm beyond AG's cylinder and 10 mm inside its rims.
 """
 
 import math
@@ -74,6 +72,16 @@ SAWYER = RobotSpec(
         "Drinking": _search(-0.95, -0.2),
         "Dressing": _search(0.95, 0.3, side=1.0, yaw=math.pi),
     },
+    # AG v0.1 world_creation.py init_sawyer: self-collision between links 0 to 2 and those from right_l2 on
+    trunk=("pedestal_collision", "right_arm_base_link_collision"),
+    near_trunk=(
+        "right_gripper_base_collision",
+        "right_l6_collision",
+        "right_l5_collision",
+        "right_l4_collision",
+        "right_l3_collision",
+        "right_l2_collision",
+    ),
     base_height=0.905,
     start_rotations={
         # AG v0.1 scratch_itch.py, bed_bathing.py: Euler (0, pi/2, 0)

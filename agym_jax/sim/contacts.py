@@ -39,7 +39,7 @@ def contact_pairs(
     The robot's links and the tool's working part may touch every limb of ``task.human.limbs``; its trunk and the rest of the
     tool only the arm that is helped. The outline of a tool that has one takes the place of its working part but for that arm.
     Furniture, the robot's trunk and its mount meet the tool's working part and the hand. Bed and mount also meet the robot's
-    wrist and forearm, and the mount a person's arm that hangs over the bed's side.
+    wrist and forearm, the trunk what ``RobotSpec.near_trunk`` names, and the mount a person's arm that hangs over the bed's side.
 
     Args:
         task: of the scene.
@@ -73,7 +73,8 @@ def contact_pairs(
         pairs["robot_human"] += [(g, f"human/{x}") for g in links for x in limbs]
         leaning = links if task.seat.stops_arm else outer
         pairs["robot_seat"] += [(g, x) for g in leaning for x in seat]
-        pairs["robot_robot"] += [(g, x) for g in outer for x in trunk]
+        own = [f"robot/{g}" for g in robot.near_trunk]
+        pairs["robot_robot"] += [(g, x) for g in (*outer, *own) for x in trunk]
         inner = [f"robot/{g}" for g in robot.near_mount]
         pairs["robot_mount"] += [(g, x) for g in (*links, *inner) for x in mount]
     free = [x for x in arm if body.is_free(body.LINK[x], moving)]

@@ -71,8 +71,9 @@ def check_robot(spec: mujoco.MjSpec, robot: RobotSpec, task: Task) -> None:
             f"see nothing of the robot. It has: {', '.join(geoms) or 'none with a name'}."
         )
     _check_text(f"{robot.name}'s trunk", robot.trunk)
+    _check_text(f"{robot.name}'s near_trunk", robot.near_trunk)
     _check_text(f"{robot.name}'s near_mount", robot.near_mount)
-    _check_there(where, "geom", (*robot.trunk, *robot.near_mount), geoms)
+    _check_there(where, "geom", (*robot.trunk, *robot.near_trunk, *robot.near_mount), geoms)
     for kind in ("solid_mounts", "mount_fronts"):
         for seat, names in getattr(robot, kind).items():
             _check_text(f"{robot.name}'s {kind}[{seat!r}]", names)

@@ -164,12 +164,38 @@ def test_arms_rest_on_the_bed_where_they_do_in_assistive_gym(robot, place, yaw, 
 # -- robots that meet themselves and what they stand on ----------------------------------------
 
 
-def test_only_jaco_meets_itself_and_its_nightstand():
-    """Assistive Gym loads PR2 and Baxter without self-collision; Sawyer's arm meets its pedestal, see ``robots.sawyer``."""
+def test_jaco_and_sawyer_meet_themselves_and_jaco_its_nightstand():
+    """Assistive Gym loads PR2 and Baxter without self-collision."""
     for task, robot in itertools.product(TASKS.values(), ROBOTS.values()):
         pairs = contact_pairs(task, robot, ())
-        assert bool(pairs["robot_robot"]) == (robot is JACO)
+        assert bool(pairs["robot_robot"]) == (robot.name in ("Jaco", "Sawyer"))
         assert bool(pairs["robot_mount"]) == (robot is JACO and task.seat.name == "bed")
+
+
+@pytest.mark.parametrize(
+    ("link", "angles"),
+    [
+        # recorded in Assistive Gym, where these links press on the pedestal with 1 to 39 N, and the last with 109 N
+        ("right_l4", (0.6504, 0.9456, 1.4381, -1.1642, 0.7629, 0.3933, -0.093)),
+        ("right_l3", (0.9626, 0.9461, 1.2859, -0.6151, -0.3919, -0.9976, 0.6809)),
+        ("right_l3", (0.8160, 1.1734, 0.0133, -2.2512, -1.4483, 1.3635, -1.7474)),
+        ("right_l3", (0.5102, 0.9649, 0.6885, -0.9312, -1.9515, 2.1329, 1.1584)),
+        ("right_l3", (0.2468, 1.2304, -0.0939, -1.1129, -1.5132, 2.3929, 0.7927)),
+        ("right_l2", (-0.2268, 1.3637, -0.4139, -1.586, -1.6122, 2.186, 0.4377)),
+    ],
+)  # fmt: skip
+def test_sawyers_arm_meets_its_pedestal_where_it_does_in_assistive_gym(link, angles):
+    scene = build_scene(TASKS["ArmManipulation"], ROBOTS["Sawyer"])
+    model, data = scene.model, mujoco.MjData(scene.model)
+    data.qpos[scene.index.robot_qpos] = angles
+    mujoco.mj_kinematics(model, data)
+    pair = (f"robot/{link}_collision", "robot/pedestal_collision")
+    assert frozenset(pair) in {
+        frozenset((model.geom(a).name, model.geom(b).name))
+        for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)
+    }
+    gap = mujoco.mj_geomDistance(model, data, *(model.geom(x).id for x in pair), 1.0, None)
+    assert abs(gap) < 0.012
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,7 @@ def stick(tmp_path: Path) -> RobotSpec:
         torso="torso",
         rest={},
         trunk=(),
+        near_trunk=(),
         near_mount=(),
         solid_mounts={},
     )
@@ -197,6 +198,7 @@ def test_the_stick_itself_is_fine(stick: RobotSpec):
     [
         ({"trunk": ("base_colision",)}, r"no geom 'base_colision'.*'base_collision'"),
         ({"near_mount": "base_collision"}, r"near_mount is the text 'base_collision'"),
+        ({"near_trunk": "base_collision"}, r"near_trunk is the text 'base_collision'"),
         ({"mounts": {}, "solid_mounts": {"bed": ("top",)}}, r"solid_mounts has 'bed', its mounts do not"),
     ],
 )  # fmt: skip

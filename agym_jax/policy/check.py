@@ -55,6 +55,7 @@ def check_policy(
     any_env: bool = False,
     agent: str | None = None,
     other_people: bool = False,
+    other_settings: bool = False,
 ) -> None:
     """Check that a policy fits an environment.
 
@@ -67,6 +68,7 @@ def check_policy(
         agent: agent that it is to control: "robot", "human", or "joint" for both; None = all active agents.
         other_people: accept a policy trained with a different population or episode length, to evaluate how it
             generalises.
+        other_settings: accept a policy trained with any other settings of the same environment, to train it further.
 
     Raises:
         PolicyEnvironmentError: if the policy was trained for another task, robot or agent (a robot's policy fits both the
@@ -96,7 +98,7 @@ def check_policy(
     theirs_changed, ours_changed = meant_for(policy.info), getattr(env, "changes", {})
     if other_people:
         theirs_changed, ours_changed = essential(theirs_changed), essential(ours_changed)
-    if not any_env and (differ := describe(theirs_changed, ours_changed)):
+    if not (any_env or other_settings) and (differ := describe(theirs_changed, ours_changed)):
         flags = flags_of(theirs_changed)
         remedy = f"Make the environment as it was there ({flags})" if flags else "Leave them out"
         raise PolicyEnvironmentError(

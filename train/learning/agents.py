@@ -266,19 +266,20 @@ def _make_agent(config: LearnConfig, env: Any, name: str) -> Agent:
     part = parts(env)[name]
     arch = architecture(config, *part.sizes)
     path = getattr(config, f"{name}_policy", None)
+    frozen = getattr(config, f"freeze_{name}", False)
     start = None
     if path is not None:
         if path == SHIPPED or path in shipped():
             path = find_policy(static_id(env.name) if path == SHIPPED else path)
         start = read_policy(path)
-        check_policy(start, env, path, agent=name, other_people=True)
+        check_policy(start, env, path, agent=name, other_people=True, other_settings=not frozen)
         arch = replace(start.arch, value_hidden=arch.value_hidden)
     size = env.observation_size
     privileged = getattr(env, "privileged_obs_size", 0) if config.privileged_critic else 0
     central = getattr(config, "central_critic", False)
     own = range(size) if central else range(size)[part.observed]
     critic_columns = (*own, *range(size, size + privileged))
-    return Agent(name, part, arch, critic_columns, start, getattr(config, f"freeze_{name}", False))
+    return Agent(name, part, arch, critic_columns, start, frozen)
 
 
 def _start_from(state: AgentState, policy: Policy) -> AgentState:

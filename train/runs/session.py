@@ -26,6 +26,7 @@ from agym_jax.data.npz import check_writable
 from agym_jax.errors import AgymError
 from agym_jax.flags import command_words, made_of
 from agym_jax.interrupts import INTERRUPTED, deferred, raise_again
+from agym_jax.policy.check import trained_otherwise
 from agym_jax.registry import parse
 
 from ..configs import Config, LearnConfig, parse_arguments, resolve, updates_in
@@ -148,6 +149,10 @@ def _run(
     first_steps = steps_of(learner)
     if meta:
         _say_resumed(progress, meta, config, first_steps)
+    else:
+        for policy in filter(None, (agent.start for agent in single.agents)):
+            if otherwise := trained_otherwise(policy, env):
+                progress.say(f"The policy it starts from was trained otherwise: {otherwise}.")
     check_agreement("the step to go on from", first_steps, "They need a common --save-dir.")
     manager.begin(learner)
 

@@ -73,7 +73,7 @@ SAWYER = RobotSpec(
         "Dressing": _search(0.95, 0.3, side=1.0, yaw=math.pi),
     },
     # AG v0.1 world_creation.py init_sawyer: self-collision between links 0 to 2 and those from right_l2 on
-    trunk=("pedestal_collision", "right_arm_base_link_collision"),
+    stand=("pedestal_collision", "right_arm_base_link_collision"),
     near_trunk=(
         "right_gripper_base_collision",
         "right_l6_collision",

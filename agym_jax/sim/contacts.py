@@ -37,9 +37,10 @@ def contact_pairs(
     """Geom pairs that may touch, by what their force means; names with prefixes.
 
     The robot's links and the tool's working part may touch every limb of ``task.human.limbs``; its trunk and the rest of the
-    tool only the arm that is helped. The outline of a tool that has one takes the place of its working part but for that arm.
-    Furniture, the robot's trunk and its mount meet the tool's working part and the hand. Bed and mount also meet the robot's
-    wrist and forearm, the trunk what ``RobotSpec.near_trunk`` names, and the mount a person's arm that hangs over the bed's side.
+    tool only the arm that is helped, and its stand that arm if it moves. The outline of a tool that has one takes the place of its working part but for that arm.
+    Furniture, the robot's trunk, stand and mount meet the tool's working part and the hand. Bed and mount also meet the robot's
+    wrist and forearm, trunk and stand what ``RobotSpec.near_trunk`` names, and the mount a person's arm that hangs over the bed's side.
+    One of the two geoms of a pair always moves: the solver has no finite force between two that do not.
 
     Args:
         task: of the scene.
@@ -51,6 +52,9 @@ def contact_pairs(
     arm = [x for x in limbs if x.split("_", 1)[-1] in ("upper_arm", "forearm", "hand")]
     seat = [f"seat/{g}" for g in task.seat.geoms]
     trunk = [f"robot/{g}" for g in robot.trunk]
+    stand = [f"robot/{g}" for g in robot.stand]
+    own = [*trunk, *stand]
+    free = [x for x in arm if body.is_free(body.LINK[x], moving)]
     mount = [f"mount/{g}" for g in robot.solid_mounts.get(task.seat.name, ())]
     pairs: dict[str, list[tuple[str, str]]] = {}
     for prefix in tool_prefixes(task, arms):
@@ -63,21 +67,21 @@ def contact_pairs(
             (g, f"human/{x}") for g in coarse for x in others
         ]
         pairs[f"{prefix}seat"] = [(g, x) for g in coarse for x in seat]
-        pairs[f"{prefix}robot"] = [(g, x) for g in coarse for x in trunk]
+        pairs[f"{prefix}robot"] = [(g, x) for g in coarse for x in own]
         pairs[f"{prefix}mount"] = [(g, x) for g in coarse for x in mount]
     pairs |= {f"robot_{other}": [] for other in ("human", "seat", "robot", "mount")}
     pairs["robot_human"] = [(g, f"human/{x}") for g in trunk for x in arm]
+    pairs["robot_human"] += [(g, f"human/{x}") for g in stand for x in free]
     for each in arms:
         links = [f"robot/{g}" for g in each.links]
         outer = links[: each.hand]
         pairs["robot_human"] += [(g, f"human/{x}") for g in links for x in limbs]
         leaning = links if task.seat.stops_arm else outer
         pairs["robot_seat"] += [(g, x) for g in leaning for x in seat]
-        own = [f"robot/{g}" for g in robot.near_trunk]
-        pairs["robot_robot"] += [(g, x) for g in (*outer, *own) for x in trunk]
+        near = [f"robot/{g}" for g in robot.near_trunk]
+        pairs["robot_robot"] += [(g, x) for g in (*outer, *near) for x in own]
         inner = [f"robot/{g}" for g in robot.near_mount]
         pairs["robot_mount"] += [(g, x) for g in (*links, *inner) for x in mount]
-    free = [x for x in arm if body.is_free(body.LINK[x], moving)]
     outer = [x for x in free if task.seat.bears_upper_arm or not x.endswith("upper_arm")]
     pairs["human_seat"] = [(f"human/{x}", g) for x in outer for g in seat]
     side = task.human.arm

@@ -40,7 +40,7 @@ JAX_ITERATIONS, JAX_LS_ITERATIONS = 20, 12
 """Most Newton iterations and line-search steps in JAX, which stops when it has converged. With 8 iterations a wiper that
 meets the arm can press with 24 N where C MuJoCo has 2.6 N; with 20 they agree within 0.001 N, as fast.
 ``tests/sim/test_parity.py`` compares a pressing rollout with C MuJoCo; ``python -m benchmarks.nan`` looks for NaN."""
-WARP_CONTACTS_PER_ENV = 24
+WARP_CONTACTS_PER_ENV = 40
 WARP_ROWS_PER_ENV = 128
 WARP_ITERATIONS, WARP_LS_ITERATIONS = 20, 20
 """Warp stops when it has converged, so generous limits cost nothing."""

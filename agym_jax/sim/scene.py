@@ -45,7 +45,7 @@ from agym_jax.sim.contacts import (
 )
 from agym_jax.sim.index import Index
 from agym_jax.sim.motors import add_motors, stiffen_motors
-from agym_jax.sim.validate import check_robot, check_seat, check_task, check_tool
+from agym_jax.sim.validate import check_pairs, check_robot, check_seat, check_task, check_tool
 from agym_jax.spec import Arm, Goal, Pose, RobotSpec, Surface, Task, ToolSpec, Vec3
 
 MAX_CONTACTS = 8
@@ -171,6 +171,7 @@ def compose(
     if not everything:
         _make_lean(spec, f"robot/{robot_root}", links)
     model = spec.compile()
+    check_pairs(model)
     stiffen_motors(model)
     return model
 

@@ -70,10 +70,9 @@ def check_robot(spec: mujoco.MjSpec, robot: RobotSpec, task: Task) -> None:
             f"{where} has no geom with {COLLISION!r} in its name, so the search for start placements would "
             f"see nothing of the robot. It has: {', '.join(geoms) or 'none with a name'}."
         )
-    _check_text(f"{robot.name}'s trunk", robot.trunk)
-    _check_text(f"{robot.name}'s near_trunk", robot.near_trunk)
-    _check_text(f"{robot.name}'s near_mount", robot.near_mount)
-    _check_there(where, "geom", (*robot.trunk, *robot.near_trunk, *robot.near_mount), geoms)
+    for kind in ("trunk", "stand", "near_trunk", "near_mount"):
+        _check_text(f"{robot.name}'s {kind}", getattr(robot, kind))
+        _check_there(where, "geom", getattr(robot, kind), geoms)
     for kind in ("solid_mounts", "mount_fronts"):
         for seat, names in getattr(robot, kind).items():
             _check_text(f"{robot.name}'s {kind}[{seat!r}]", names)
@@ -86,6 +85,21 @@ def check_robot(spec: mujoco.MjSpec, robot: RobotSpec, task: Task) -> None:
         _check_arm(where, spec, robot, arm)
         if task.tool is None:  # the hand is sensed as a tool would be
             _check_round(f"{where}: the hand, Arm.links[0],", spec, arm.links[:1])
+
+
+def check_pairs(model: mujoco.MjModel) -> None:
+    """That one of the two geoms of every contact pair can move against the other.
+
+    Raises:
+        SpecError: neither can: their contact would have no finite force.
+    """
+    welded = model.body_weldid[model.geom_bodyid]
+    for one, other in zip(model.pair_geom1, model.pair_geom2, strict=True):
+        if welded[one] == welded[other]:
+            raise SpecError(
+                f"{model.geom(one).name!r} and {model.geom(other).name!r} form a contact pair, but no joint moves one "
+                f"against the other. List geoms of a robot's base under RobotSpec.stand, not trunk."
+            )
 
 
 def check_tool(spec: mujoco.MjSpec, tool: ToolSpec) -> None:

@@ -75,6 +75,7 @@ def stick(tmp_path: Path) -> RobotSpec:
         torso="torso",
         rest={},
         trunk=(),
+        stand=(),
         near_trunk=(),
         near_mount=(),
         solid_mounts={},
@@ -205,6 +206,16 @@ def test_the_stick_itself_is_fine(stick: RobotSpec):
 def test_what_hand_and_arm_may_touch_of_the_robot_has_to_exist(stick: RobotSpec, changes, message):
     with pytest.raises(SpecError, match=message):
         compose(REACH, dataclasses.replace(stick, **changes))
+
+
+def test_a_pair_that_no_joint_moves_is_refused(stick: RobotSpec):
+    """Forces of 1e14 N between Sawyer's pedestal and arms that lie still."""
+    with pytest.raises(
+        SpecError,
+        match=r"'robot/base_collision' and 'human/.*' form a contact pair.*RobotSpec.stand",
+    ):
+        compose(REACH, dataclasses.replace(stick, trunk=("base_collision",)))
+    compose(REACH, dataclasses.replace(stick, stand=("base_collision",)))
 
 
 @pytest.mark.parametrize("field", ["links", "joints"])

@@ -25,6 +25,10 @@ CHANGES: dict[str, tuple[tuple[str, ...], str]] = {
         ("ArmManipulation", "BedBathingPR2", "BedBathingSawyer", "BedBathingBaxterHuman", "BedBathingJacoHuman"),
         "the robot's wrist and forearm meet the bed; episodes of BedBathingBaxter and BedBathingJaco did not change",
     ),
+    "2026-11-24T19:10": (
+        tuple(f"{task}Sawyer" for task in TASKS),
+        "Sawyer's arm meets its pedestal and the base of its arm; the last link has Assistive Gym's size",
+    ),
 }  # fmt: skip
 """Changes of the physics that made earlier figures wrong: when (UTC, as in results) -> what the ids begin with, and what changed. Tables
 mark what was measured before. Add a line with a change that makes older figures wrong."""

@@ -132,6 +132,8 @@ def test_what_ships_is_replaced_by_what_is_better(shipped_there, ours, ships, ru
     assert told is ships and f"what ships has {shipped_there:.1%} over the same people" in text
     (line,) = lines(repository, "evaluation")  # the newest figure of what ships, whichever that is
     assert line["success"] == (ours if ships else shipped_there) and line["commit"] == "c" * 40
+    config = collecting.CollectConfig((runs,), only=(ALONE,), ship=(ALONE,))
+    assert all(collecting.collect(found, config)[0] for found in collecting.find(config))
 
 
 @pytest.mark.slow

@@ -14,7 +14,8 @@ from fake_pair_env import FakePairEnv
 from products import full
 from train_runs import check_continued, check_restored, kill_in_training, listening, same_bytes
 
-from agym_jax.errors import PolicyNotFoundError
+import agym_jax
+from agym_jax.errors import PolicyEnvironmentError, PolicyNotFoundError
 from agym_jax.policy import Pair, baseline_policy, load_policy
 from agym_jax.policy.agents import parts
 from agym_jax.policy.files import load_agent
@@ -375,5 +376,12 @@ def test_training_starts_from_the_policy_that_ships(static_env, active_env):
     named = PPOConfig(robot_policy=static_env.name)
     (by_id,) = Agents(named, static_env, ("robot",)).agents
     assert same_bytes(by_id.start.weights, ships.weights)
+    other = agym_jax.make(static_env.name, impl="jax", config={"scratch": 3.0})
+    (further,) = Agents(named, other, ("robot",)).agents  # training may go on with other settings
+    assert same_bytes(further.start.weights, ships.weights)
+    frozen = CoopConfig(robot_policy="shipped", freeze_robot=True)
+    other = agym_jax.make(active_env.name, impl="jax", config={"scratch": 3.0})
+    with pytest.raises(PolicyEnvironmentError, match=r"task.scratch"):
+        Agents(frozen, other, PAIR)
     with pytest.raises(PolicyNotFoundError, match=r"ships no policy for 'FakeCarry-v0'"):
         Agents(CoopConfig(robot_policy="shipped"), FakePairEnv(), PAIR)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from fake_env import FakeEnv
 from paths import PROCESS_SECONDS, ROOT
-from unshipped import unshipped
+from unshipped import hide_policies
 
 import agym_jax
 from agym_jax.data.assets import asset_path, asset_root
@@ -38,6 +38,7 @@ from agym_jax.registry import active_id
 runtime = pytest.importorskip("onnxruntime", reason='needs pip install "agym_jax[onnx]"')
 FILES = sorted((asset_root() / "policies").rglob("*.npz"))
 ROBOT, PAIR = "ReachingSawyer-v0", "ScratchItchPR2Human-v0"
+HIDDEN = "DressingJaco-v0"
 
 
 def session(model: Any) -> Any:
@@ -174,7 +175,7 @@ def test_a_trained_policy_is_found_in_its_run(tmp_path):
         ([ROBOT, ""], ("ends in .onnx",)),
         ([ROBOT, "folder.onnx"], ("is a folder",)),
         (["ReechingSawyer-v0", "p.onnx"], ("Did you mean 'ReachingSawyer-v0'",)),
-        ([unshipped(), "p.onnx"], ("ships no policy", "agym-jax train")),
+        ([HIDDEN, "p.onnx"], ("ships no policy", "agym-jax train")),
         ([ROBOT, "p.onnx", "--policy", "none.npz"], ("No policy 'none.npz'",)),
         ([ROBOT, "p.onnx", "--policy", "zero"], ("'zero'", "--policy")),
         ([ROBOT, "p.onnx", "--load-dir", "nowhere"], ("No policy for", "nowhere")),
@@ -186,6 +187,7 @@ def test_a_trained_policy_is_found_in_its_run(tmp_path):
 )  # fmt: skip
 def test_bad_input(words, told, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    hide_policies(monkeypatch, HIDDEN)
     (tmp_path / "folder.onnx").mkdir()
     save_policy(tmp_path / "robots" / PAIR / "policy.npz", load_policy(PAIR).robot)
     files = {"REACHING": f"policies/{ROBOT}.npz", "PERSON": f"policies/human/{PAIR}.npz"}
@@ -202,8 +204,9 @@ def test_errors_in_python(tmp_path, monkeypatch, envs):
         export_policy(policy, envs[ROBOT], tmp_path / "policy.npz")
     with pytest.raises(PolicyEnvironmentError, match="was trained in"):
         export_policy(policy, envs[PAIR], tmp_path / "policy.onnx")
+    hide_policies(monkeypatch, HIDDEN)
     with pytest.raises(PolicyNotFoundError, match="ships no policy"):
-        choose_policy(unshipped())
+        choose_policy(HIDDEN)
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(MissingExtraError, match=r"agym_jax\[onnx\]"):
         export_policy(policy, envs[ROBOT], tmp_path / "policy.onnx")

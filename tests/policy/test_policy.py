@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import shutil
 from pathlib import Path
@@ -170,16 +171,19 @@ def test_layouts_from_before_columns_were_renamed_are_known(name):
 
 
 def test_policies_from_before_columns_were_renamed_fit(tmp_path):
-    """The pair that ships is of that time; so is a run's folder with person_policy.npz."""
+    """Their agents are called "person"; a run of that time has person_policy.npz."""
     static_env, active_env = (agym_jax.make(f"ScratchItchPR2{x}-v0") for x in ("", "Human"))
     pair = agym_jax.load_policy(active_env.name, active_env)
-    files = asset_root() / "policies", asset_root() / "policies" / "human"
-    robot, human = (folder / f"{active_env.name}.npz" for folder in files)
-    _, meta = read_npz(human)
-    assert (meta["agent"], meta["layout"]) == ("person", FORMER["ScratchItch"][1])
     run = tmp_path / active_env.name
     run.mkdir()
-    shutil.copy(robot, run / "policy.npz")
+    human = tmp_path / "human.npz"
+    for policy, layout, agent, file in (
+        (pair.robot, 0, "robot", run / "policy.npz"),
+        (pair.human, 1, "person", human),
+    ):
+        former = {"agent": agent, "layout": FORMER["ScratchItch"][layout]}
+        save_policy(file, dataclasses.replace(policy, info={**policy.info, **former}))
+        assert read_npz(file)[1]["agent"] == agent
     shutil.copy(human, run / "person_policy.npz")
     obs = jnp.linspace(-1, 1, active_env.observation_size)
     for source in (run, str(run)):

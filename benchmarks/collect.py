@@ -121,6 +121,9 @@ def find(config: CollectConfig) -> list[Found]:
                 "num_envs": training["num_envs"], "commit": commit,
             }  # fmt: skip
             found.append(Found(run, choice | about, training))
+    if unknown := {*config.ship} - {x.run.name for x in found}:
+        there = ", ".join(x.run.name for x in found) or "none"
+        raise CollectError(f"--ship names {', '.join(sorted(unknown))}. Runs to collect: {there}.")
     if not found:
         raise CollectError(
             f"{', '.join(map(str, config.runs))} has no runs with selection.jsonl, config.json and curve.jsonl."

@@ -2,9 +2,10 @@
 
 Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robots/sawyer.xml``.
 
-DEVIATION(sawyer-shapes): the arm meets the robot's pedestal and the base of its arm as in AG, from the third link outwards; both
-are capsules, AG's cylinders: 25 and 12 mm inside their upper rims, 90 and 20 mm higher in the middle. The last link is a sphere of 66 mm radius, AG's a
-coin of 65 mm radius and 50 mm length. The forearm is a capsule that ends 12 mm beyond AG's cylinder and 10 mm inside its rims.
+DEVIATION(sawyer-shapes): the arm meets the robot's pedestal and the base of its arm as in AG, from the third link outwards. Spheres and
+capsules stand for AG's cylinders. Pedestal and base end 21 and 20 mm inside the upper rims, and 90 and 20 mm above the middle of the top. The last link, a coin of 65 mm
+radius and 50 mm length, is a sphere 4 mm inside the rims and 41 mm beyond the faces. The upper arm ends 25 mm inside the rims, the forearm
+10 mm inside them and 12 mm beyond the ends. Six arms that press on the pedestal in AG are within 12 mm of it here.
 """
 
 import math
@@ -73,15 +74,8 @@ SAWYER = RobotSpec(
         "Dressing": _search(0.95, 0.3, side=1.0, yaw=math.pi),
     },
     # AG v0.1 world_creation.py init_sawyer: self-collision between links 0 to 2 and those from right_l2 on
-    stand=("pedestal_collision", "right_arm_base_link_collision"),
-    near_trunk=(
-        "right_gripper_base_collision",
-        "right_l6_collision",
-        "right_l5_collision",
-        "right_l4_collision",
-        "right_l3_collision",
-        "right_l2_collision",
-    ),
+    trunk=("pedestal_collision", "right_arm_base_link_collision"),
+    near_trunk=(*_ARM.links[_ARM.hand :], "right_l3_collision", "right_l2_collision"),
     base_height=0.905,
     start_rotations={
         # AG v0.1 scratch_itch.py, bed_bathing.py: Euler (0, pi/2, 0)

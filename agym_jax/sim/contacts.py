@@ -14,6 +14,9 @@ it by 1, 1, 15 and 14 cm after 0.5 s in AG and by 5, 21, 33 and 35 cm here (medi
 
 from __future__ import annotations
 
+import mujoco
+
+from agym_jax.data.assets import asset_path
 from agym_jax.human import body
 from agym_jax.human.regions import REGION_OF
 from agym_jax.spec import Arm, RobotSpec, Task
@@ -31,16 +34,29 @@ def tool_prefixes(task: Task, arms: tuple[Arm, ...]) -> tuple[str, ...]:
     return ("tool/", "tool2/")[: len(arms)] if task.tool is not None else ()
 
 
+def moved_geoms(robot: RobotSpec, arms: tuple[Arm, ...]) -> frozenset[str]:
+    """Named geoms of a robot's file that a joint of the arms in use moves."""
+    joints = {name for arm in arms for name in arm.joints}
+    spec = mujoco.MjSpec.from_file(str(asset_path(robot.model)))
+
+    def moved(body: mujoco.MjsBody | None) -> bool:
+        return body is not None and (
+            any(joint.name in joints for joint in body.joints) or moved(body.parent)
+        )
+
+    return frozenset(geom.name for geom in spec.geoms if geom.name and moved(geom.parent))
+
+
 def contact_pairs(
     task: Task, robot: RobotSpec, moving: tuple[str, ...]
 ) -> dict[str, list[tuple[str, str]]]:
     """Geom pairs that may touch, by what their force means; names with prefixes.
 
     The robot's links and the tool's working part may touch every limb of ``task.human.limbs``; its trunk and the rest of the
-    tool only the arm that is helped, and its stand that arm if it moves. The outline of a tool that has one takes the place of its working part but for that arm.
-    Furniture, the robot's trunk, stand and mount meet the tool's working part and the hand. Bed and mount also meet the robot's
-    wrist and forearm, trunk and stand what ``RobotSpec.near_trunk`` names, and the mount a person's arm that hangs over the bed's side.
-    One of the two geoms of a pair always moves: the solver has no finite force between two that do not.
+    tool only the arm that is helped. The outline of a tool that has one takes the place of its working part but for that arm.
+    Furniture, the robot's trunk and its mount meet the tool's working part and the hand. Bed and mount also meet the robot's
+    wrist and forearm, the trunk what ``RobotSpec.near_trunk`` names, and the mount a person's arm that hangs over the bed's side.
+    What no joint moves, of trunk and person, makes no pairs: between two such geoms the solver has no finite force.
 
     Args:
         task: of the scene.
@@ -52,8 +68,7 @@ def contact_pairs(
     arm = [x for x in limbs if x.split("_", 1)[-1] in ("upper_arm", "forearm", "hand")]
     seat = [f"seat/{g}" for g in task.seat.geoms]
     trunk = [f"robot/{g}" for g in robot.trunk]
-    stand = [f"robot/{g}" for g in robot.stand]
-    own = [*trunk, *stand]
+    turning = moved_geoms(robot, arms) if trunk else frozenset()
     free = [x for x in arm if body.is_free(body.LINK[x], moving)]
     mount = [f"mount/{g}" for g in robot.solid_mounts.get(task.seat.name, ())]
     pairs: dict[str, list[tuple[str, str]]] = {}
@@ -67,11 +82,12 @@ def contact_pairs(
             (g, f"human/{x}") for g in coarse for x in others
         ]
         pairs[f"{prefix}seat"] = [(g, x) for g in coarse for x in seat]
-        pairs[f"{prefix}robot"] = [(g, x) for g in coarse for x in own]
+        pairs[f"{prefix}robot"] = [(g, x) for g in coarse for x in trunk]
         pairs[f"{prefix}mount"] = [(g, x) for g in coarse for x in mount]
     pairs |= {f"robot_{other}": [] for other in ("human", "seat", "robot", "mount")}
-    pairs["robot_human"] = [(g, f"human/{x}") for g in trunk for x in arm]
-    pairs["robot_human"] += [(g, f"human/{x}") for g in stand for x in free]
+    pairs["robot_human"] = [
+        (f"robot/{g}", f"human/{x}") for g in robot.trunk for x in (arm if g in turning else free)
+    ]
     for each in arms:
         links = [f"robot/{g}" for g in each.links]
         outer = links[: each.hand]
@@ -79,7 +95,7 @@ def contact_pairs(
         leaning = links if task.seat.stops_arm else outer
         pairs["robot_seat"] += [(g, x) for g in leaning for x in seat]
         near = [f"robot/{g}" for g in robot.near_trunk]
-        pairs["robot_robot"] += [(g, x) for g in (*outer, *near) for x in own]
+        pairs["robot_robot"] += [(g, x) for g in (*outer, *near) for x in trunk]
         inner = [f"robot/{g}" for g in robot.near_mount]
         pairs["robot_mount"] += [(g, x) for g in (*links, *inner) for x in mount]
     outer = [x for x in free if task.seat.bears_upper_arm or not x.endswith("upper_arm")]

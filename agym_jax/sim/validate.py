@@ -70,7 +70,7 @@ def check_robot(spec: mujoco.MjSpec, robot: RobotSpec, task: Task) -> None:
             f"{where} has no geom with {COLLISION!r} in its name, so the search for start placements would "
             f"see nothing of the robot. It has: {', '.join(geoms) or 'none with a name'}."
         )
-    for kind in ("trunk", "stand", "near_trunk", "near_mount"):
+    for kind in ("trunk", "near_trunk", "near_mount"):
         _check_text(f"{robot.name}'s {kind}", getattr(robot, kind))
         _check_there(where, "geom", getattr(robot, kind), geoms)
     for kind in ("solid_mounts", "mount_fronts"):
@@ -98,7 +98,7 @@ def check_pairs(model: mujoco.MjModel) -> None:
         if welded[one] == welded[other]:
             raise SpecError(
                 f"{model.geom(one).name!r} and {model.geom(other).name!r} form a contact pair, but no joint moves one "
-                f"against the other. List geoms of a robot's base under RobotSpec.stand, not trunk."
+                f"against the other. Arm.links, near_trunk and near_mount of a robot are geoms that its arm moves."
             )
 
 

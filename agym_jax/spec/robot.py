@@ -80,10 +80,7 @@ class RobotSpec:
     solid_mounts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # seat -> its geoms
     mount_fronts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # for people's arms
     trunk: tuple[str, ...] = ()  # collision geoms that hand, tool and the helped arm may touch
-    stand: tuple[
-        str, ...
-    ] = ()  # the same of its base, which never moves: they touch moving limbs only
-    near_trunk: tuple[str, ...] = ()  # those besides the hand that may touch trunk and stand
+    near_trunk: tuple[str, ...] = ()  # those besides the hand that may touch the trunk
     near_mount: tuple[str, ...] = ()  # those besides ``Arm.links`` that may touch a solid mount
     rest: Mapping[str, float] = field(default_factory=dict)  # joint not in use -> angle, else 0
     start_rotations: Mapping[str, Quat] = field(default_factory=dict)  # task -> hand orientation

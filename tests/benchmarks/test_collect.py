@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -134,6 +135,10 @@ def test_what_ships_is_replaced_by_what_is_better(shipped_there, ours, ships, ru
     assert line["success"] == (ours if ships else shipped_there) and line["commit"] == "c" * 40
     config = collecting.CollectConfig((runs,), only=(ALONE,), ship=(ALONE,))
     assert all(collecting.collect(found, config)[0] for found in collecting.find(config))
+    with pytest.raises(
+        collecting.CollectError, match=f"--ship names Wrong-v0. Runs to collect: {ALONE}"
+    ):
+        collecting.find(dataclasses.replace(config, ship=("Wrong-v0",)))
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Environments without a policy: hardly an id lacks one, so tests hide those that ship."""
+"""Environments without a policy: tests hide policies that ship, because in the end every id has one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from agym_jax import list_envs
 from agym_jax.data.assets import asset_path
 from agym_jax.policy import files
 from agym_jax.policy.policy import shipped
@@ -21,8 +20,3 @@ def hide_policies(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
 
     monkeypatch.setattr(files, "asset_path", path)
     monkeypatch.setattr(files, "shipped", lambda: [x for x in shipped() if x not in names])
-
-
-def unshipped_pair() -> str:
-    """An id for which no policy ships, and whose person acts."""
-    return next(name for name in list_envs() if name not in shipped() and name.endswith("Human-v0"))

@@ -2,14 +2,14 @@
 
 DEVIATION(friction-pyramid): friction against a sliding motion is AG's along two directions of the contact, 71 % of it
 between them and 86 % on average: MuJoCo's cone is a pyramid here, Bullet's is round.
-DEVIATION(no-rolling): contacts of tools and robots resist sliding only. AG's scratcher and wiper also resist rolling and
-spinning on the person, with 0.5 mm times the force: 0.0025 N m at 5 N, 0.25 % of a motor's torque.
+DEVIATION(no-rolling): contacts of tools and robots, except with the bed, resist sliding only. AG's scratcher and wiper also resist
+rolling and spinning on the person, with 0.5 mm times the force: 0.0025 N m at 5 N, 0.25 % of a motor's torque.
 DEVIATION(bed-contact): a limb that falls onto the bed is stopped after the physics step in which it entered, up to 2 cm
 deep, and gives way; Bullet stops it at the surface. People with AG's masses land as in Bullet (``landing``): a man's wrist follows AG's
-within 1 cm until the arm meets the bed and within 2.7 cm on average over the first second, a woman's within 4 and 6 cm. At rest, elbow and
-wrist are as high as AG's within 1.6 cm, and a man's wrist is 7 cm nearer to the feet. The bed's edge is round here, in AG a mesh with a ridge, and
-only upper arm and girdle resist rolling on it, in AG forearm and hand, too: a sudden push of 12, 20, 30 and 40 N at the elbow has moved
-it by 1, 1, 15 and 14 cm after 0.5 s in AG and by 5, 21, 33 and 35 cm here (medians of ten people). What was tried is in docs/benchmarks.md.
+within 1 cm until the arm meets the bed and within 2.7 cm on average over the first second, a woman's within 4 and 5 cm. At rest, elbow and
+wrist are as high as AG's within 1.6 cm, and a man's wrist is 7 cm nearer to the feet. The bed's edge is round here, in AG a mesh with a
+ridge: a sudden push of 12, 20, 30 and 40 N at the elbow has moved it by 1, 1, 15 and 14 cm after 0.5 s in AG and by 5, 21, 33 and 35 cm here
+(medians of ten people). What was tried is in docs/benchmarks.md.
 """
 
 from __future__ import annotations
@@ -159,34 +159,37 @@ def pair_friction(kind: str, task: Task, robot: RobotSpec) -> float:
         task: of the scene.
         robot: of the scene.
     """
+    one, other = _materials(kind, task, robot)
+    return one * other
+
+
+def pair_rolling(kind: str, task: Task, robot: RobotSpec) -> float:
+    """Rolling and spinning friction of one kind of pair [m]; 0 for those that resist sliding only.
+
+    Bullet's is ``r1 * f2 + r2 * f1`` of two materials' lengths and friction coefficients. Only the bed has a length (``no-rolling``).
+
+    Args:
+        kind: a key of ``contact_pairs``.
+        task: of the scene.
+        robot: of the scene.
+    """
+    other, _ = _materials(kind, task, robot)
+    return task.seat.rolling * other if kind.endswith("seat") else 0.0
+
+
+def _materials(kind: str, task: Task, robot: RobotSpec) -> tuple[float, float]:
+    """Friction coefficients of both materials of a kind of pair."""
     materials = {
         "human": task.human.friction, "self": task.human.friction, "seat": task.seat.friction,
         "robot": robot.friction, "tool": task.tool.friction if task.tool is not None else 0.0,
         "mount": MOUNT_FRICTION,
     }  # fmt: skip
     one, other = kind.replace("/", "_").replace("tool2", "tool").split("_")
-    return materials[one] * materials[other]
+    return materials[one], materials[other]
 
 
 MOUNT_FRICTION = 0.5
 """Of what carries a robot's base: Bullet's of anything that has no other."""
-ROLLS = ("upper_arm", "girdle")
-"""What lies on the bed throughout, and comes to rest by rolling friction; the forearm hangs in the air."""
-
-
-def pair_rolling(kind: str, geom: str, task: Task) -> float:
-    """Rolling and spinning friction of a pair [m]; 0 for those that resist sliding only.
-
-    Bullet's is ``r1 * f2 + r2 * f1`` of two materials' lengths and friction coefficients; a person has no length.
-
-    Args:
-        kind: a key of ``contact_pairs``.
-        geom: the pair's first.
-        task: of the scene.
-    """
-    rolls = kind == "human_seat" and geom.endswith(ROLLS)
-    return task.seat.rolling * task.human.friction if rolls else 0.0
-
 
 SOLREF, SOLIMP = (0.04, 1.0), (0.7, 0.95, 0.01, 0.5, 2.0)
 """Of every contact. Bullet's are as good as rigid: 0.4 mm deep while a tool presses with 3 to 5 N, ours 0.1 mm. The time

@@ -305,8 +305,8 @@ def _add_contacts(
     bits = 1 << int(data.mjCONDATA_FORCE) | 1 << int(data.mjCONDATA_POS)
     for kind, pairs in touches.items():
         friction = pair_friction(kind, task, robot)
+        roll = pair_rolling(kind, task, robot)
         for a, b in pairs:
-            roll = pair_rolling(kind, a, task)
             spec.add_pair(
                 name=f"{a}|{b}", geomname1=a, geomname2=b, condim=6 if roll else 3,
                 friction=[friction, friction, *([roll] * 3 if roll else (0.005, 0.0001, 0.0001))],

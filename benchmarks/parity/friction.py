@@ -1,7 +1,8 @@
 """Friction.
 
 Bullet gives a pair of bodies the product of their coefficients: 0.5 for the person, robots, tools and the wheelchair
-(recorded for every link), 5 for the bed in BedBathing and 0.3 in ArmManipulation. Ours are read from the compiled models
+(recorded for every link), 5 for the bed in BedBathing and 0.3 in ArmManipulation. Rolling and spinning are resisted with a length,
+times the normal force: of two bodies each one's length times the other's coefficient; the bed's lengths are 5 and 0.3 m. Ours are read from the compiled models
 of all 28 pairs of task and robot, with a still and with an active person, a man and a woman; where they differ, the
 one farthest from AG's is shown. Sliding is measured with a sphere on a plane that has the contact of tool and person.
 """
@@ -53,6 +54,26 @@ def pairs() -> dict[str, tuple[float, list[float]]]:
     return {what: both for what, both in found.items() if both[1]}
 
 
+def rolling_on_bed() -> list[Row]:
+    """Rolling and spinning friction of what meets the bed."""
+    found: dict[str, tuple[float, list[float]]] = {}
+    for task, robot, active in itertools.product(BED, ROBOTS.values(), (False, True)):
+        scene = build_scene(TASKS[task], robot, active)
+        for kind, names in contact_pairs(TASKS[task], robot, scene.moving).items():
+            one, other = kind.replace("/", "_").replace("tool2", "tool").split("_")
+            if other == "seat" and names:
+                ag = BED[task] * recorded(one)
+                _, ours = found.setdefault(f"{NAMES[one]} on mattress in {task}", (ag, []))
+                for model in (scene.model, scene.female):
+                    rows = [model.pair(f"{a}|{b}").id for a, b in names]
+                    resisted = model.pair_dim[rows, None] == 6
+                    ours += np.where(resisted, model.pair_friction[rows, 2:], 0.0).ravel().tolist()
+    return [
+        Row(f"rolling and spinning, {what}", "m", ag, max(ours, key=lambda x: abs(x - ag)), 1e-4)
+        for what, (ag, ours) in found.items()
+    ]
+
+
 def sliding(friction: float) -> np.ndarray:
     """Tangential over normal force of a sphere that slides in each of ``DIRECTIONS``."""
     spec = mujoco.MjSpec()
@@ -98,6 +119,7 @@ def rows() -> list[Row]:
     rolling = recorded("human") * float(traces("friction")["rolling"].max())
     return [
         *out,
+        *rolling_on_bed(),
         Row("tangential over normal force of a sliding tool, most", "", product, float(slid.max()), 0.05 * product),
         Row("the same, mean of all directions", "", product, float(slid.mean()), 0.05 * product, "friction-pyramid"),
         Row("the same, least", "", product, float(slid.min()), 0.05 * product, "friction-pyramid"),

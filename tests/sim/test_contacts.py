@@ -15,7 +15,7 @@ import pytest
 from agym_jax.human import body
 from agym_jax.robots import ROBOTS
 from agym_jax.sim import sensing
-from agym_jax.sim.contacts import contact_pairs, pair_friction, touch_rows
+from agym_jax.sim.contacts import contact_pairs, pair_friction, pair_rolling, touch_rows
 from agym_jax.sim.scene import build_scene
 from agym_jax.tasks import TASKS
 
@@ -51,6 +51,27 @@ def test_every_pair_of_a_model_has_the_friction_of_its_kind():
             rows = [model.pair(f"{a}|{b}").id for a, b in pairs]
             expected = pair_friction(kind, task, robot)
             np.testing.assert_allclose(model.pair_friction[rows, :2], expected, err_msg=kind)
+            rolling = pair_rolling(kind, task, robot)
+            resisted = model.pair_dim[rows, None] == 6
+            lengths = np.where(resisted, model.pair_friction[rows, 2:], 0.0)
+            np.testing.assert_allclose(lengths, rolling, err_msg=kind)
+
+
+@pytest.mark.parametrize(
+    ("task", "kind", "length"),
+    [
+        # AG bed_bathing.py and arm_manipulation.py, reset: rollingFriction = spinningFriction = 5, then 0.3, of the bed alone
+        ("BedBathing", "tool/seat", 2.5), ("BedBathing", "robot_seat", 2.5), ("BedBathing", "human_seat", 2.5),
+        ("ArmManipulation", "tool2/seat", 0.15), ("ArmManipulation", "robot_seat", 0.15),
+        ("ArmManipulation", "human_seat", 0.15), ("ArmManipulation", "robot_mount", 0.0),
+        ("BedBathing", "tool/human", 0.0), ("ScratchItch", "robot_seat", 0.0),
+    ],
+)  # fmt: skip
+def test_the_bed_resists_rolling(task: str, kind: str, length: float):
+    assert pair_rolling(kind, TASKS[task], JACO) == pytest.approx(length)
+    rough = dataclasses.replace(JACO, friction=1.0)
+    expected = 2 * length if kind.startswith("robot") else length
+    assert pair_rolling(kind, TASKS[task], rough) == pytest.approx(expected)
 
 
 def test_pad_and_plate_touch_the_arm_and_the_outline_the_rest():

@@ -69,7 +69,14 @@ def rolling_on_bed() -> list[Row]:
                     resisted = model.pair_dim[rows, None] == 6
                     ours += np.where(resisted, model.pair_friction[rows, 2:], 0.0).ravel().tolist()
     return [
-        Row(f"rolling and spinning, {what}", "m", ag, max(ours, key=lambda x: abs(x - ag)), 1e-4)
+        Row(
+            f"rolling and spinning, {what}",
+            "m",
+            ag,
+            max(ours, key=lambda x: abs(x - ag)),
+            1e-4,
+            "bed-contact" if what.startswith("person") else "",
+        )
         for what, (ag, ours) in found.items()
     ]
 

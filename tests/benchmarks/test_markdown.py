@@ -25,7 +25,9 @@ def test_every_change_of_the_physics_is_explained_and_of_some_environment():
         ("ArmManipulationJaco-v0", "2026-11-23T08:00", True),
         ("ScratchItchPR2-v0", "2026-11-23T08:00", False),
         ("ScratchItchPR2Human-v0", "2026-11-23T08:00", True),
-        ("BedBathingBaxter-v0", "2026-11-24T08:00", False),
+        ("BedBathingBaxter-v0", "2026-11-24T23:00", True),
+        ("BedBathingBaxter-v0", "2026-11-25T01:00", False),
+        ("DressingBaxter-v0", "2026-11-24T08:00", False),
         ("BedBathingSawyer-v0", "2026-11-24T08:00", True),
     ],
 )

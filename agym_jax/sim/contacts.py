@@ -9,9 +9,10 @@ deep, and gives way; Bullet stops it at the surface. People with AG's masses lan
 within 1 cm until the arm meets the bed and within 2.7 cm on average over the first second, a woman's within 4 and 5 cm. At rest, elbow and
 wrist are as high as AG's within 1.6 cm, and a man's wrist is 7 cm nearer to the feet. The bed's edge is round here, in AG a mesh with a
 ridge: a sudden push of 12, 20, 30 and 40 N at the elbow has moved it by 1, 1, 15 and 14 cm after 0.5 s in AG and by 5, 21, 33 and 35 cm here
-(medians of ten people). A MuJoCo contact turns only while it separates, by its rolling friction's length times the angle, so that long ones glue what
-lies: with AG's 2.5 m for the person's arm in BedBathing, whole actions of an active person move a joint by 0.17 rad within 2 s, in AG by 0.63 (without
-rolling friction 0.70). The arm has 0.15 m (0.62 rad; without 0.61), robots and tools the 2.5 m. What was tried is in docs/benchmarks.md.
+(medians of ten people). In MuJoCo's cone, what turns in a contact also separates, by the angle times the length of the rolling friction, so that an
+arm that rests on the bed can hardly be lifted if that is long: with AG's 2.5 m in BedBathing, full actions of an active person move a joint by 0.17 rad
+within 2 s; in AG by 0.63, without rolling friction by 0.70 (means of ten joints, 24 and 6 people). Hence the person's arm has 0.15 m (0.62 rad here;
+0.61 without), robots and tools 2.5 m. What was tried is in docs/benchmarks.md.
 """
 
 from __future__ import annotations

@@ -10,12 +10,14 @@ within 1 cm until the arm meets the bed and within 2.7 cm on average over the fi
 wrist are as high as AG's within 1.6 cm, and a man's wrist is 7 cm nearer to the feet. The bed's edge is round here, in AG a mesh with a
 ridge: a sudden push of 12, 20, 30 and 40 N at the elbow has moved it by 1, 1, 15 and 14 cm after 0.5 s in AG and by 5, 21, 33 and 35 cm here
 (medians of ten people). In MuJoCo's cone, what turns in a contact also separates, by the angle times the length of the rolling friction, so that an
-arm that rests on the bed can hardly be lifted if that is long: with AG's 2.5 m in BedBathing, full actions of an active person move a joint by 0.17 rad
-within 2 s; in AG by 0.63, without rolling friction by 0.70 (means of ten joints, 24 and 6 people). Hence the person's arm has 0.15 m (0.62 rad here;
-0.61 without), robots and tools 2.5 m. What was tried is in docs/benchmarks.md.
+arm that rests on the bed can hardly be lifted if that is long: with full actions for 2 s, an active person of BedBathing bends the elbow by 1.36 rad in
+AG, here by 0.09 with AG's 2.5 m and by 1.35 with 0.15 m. Hence the person's arm has 0.15 m, robots and tools 2.5 m. Upper arm and forearm then turn about
+their lengths more freely than in AG, by 1.23 instead of 0.67 rad (all joints 0.62 and 0.43; 24 people each). What was tried is in docs/benchmarks.md.
 """
 
 from __future__ import annotations
+
+import math
 
 import mujoco
 
@@ -162,8 +164,7 @@ def pair_friction(kind: str, task: Task, robot: RobotSpec) -> float:
         task: of the scene.
         robot: of the scene.
     """
-    one, other = _materials(kind, task, robot)
-    return one * other
+    return math.prod(_materials(kind, task, robot))
 
 
 def pair_rolling(kind: str, task: Task, robot: RobotSpec) -> float:
@@ -177,9 +178,21 @@ def pair_rolling(kind: str, task: Task, robot: RobotSpec) -> float:
         task: of the scene.
         robot: of the scene.
     """
-    other, _ = _materials(kind, task, robot)
-    length = task.seat.rolling * other if kind.endswith("seat") else 0.0
-    return min(length, LIMB_ROLLING) if kind.startswith("human") else length
+    one, other = sides(kind)
+    if other != "seat":
+        return 0.0
+    length = task.seat.rolling * _materials(kind, task, robot)[0]
+    return min(length, LIMB_ROLLING) if one == "human" else length
+
+
+def sides(kind: str) -> tuple[str, str]:
+    """What touches what in pairs of one kind: tool, robot, human; human, self, robot, seat, mount.
+
+    Args:
+        kind: a key of ``contact_pairs``.
+    """
+    one, other = kind.replace("/", "_").replace("tool2", "tool").split("_")
+    return one, other
 
 
 def _materials(kind: str, task: Task, robot: RobotSpec) -> tuple[float, float]:
@@ -189,12 +202,12 @@ def _materials(kind: str, task: Task, robot: RobotSpec) -> tuple[float, float]:
         "robot": robot.friction, "tool": task.tool.friction if task.tool is not None else 0.0,
         "mount": MOUNT_FRICTION,
     }  # fmt: skip
-    one, other = kind.replace("/", "_").replace("tool2", "tool").split("_")
+    one, other = sides(kind)
     return materials[one], materials[other]
 
 
 LIMB_ROLLING = 0.15
-"""Largest rolling friction of a person's limbs [m], see ``bed-contact``."""
+"""Largest rolling friction of a person's limbs [m]: AG's of ArmManipulation; with that of BedBathing they stick (``bed-contact``)."""
 MOUNT_FRICTION = 0.5
 """Of what carries a robot's base: Bullet's of anything that has no other."""
 

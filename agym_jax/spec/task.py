@@ -79,7 +79,7 @@ class SeatSpec:
     front: tuple[Vec3, Vec3] | None = None  # where the camera "front" stands and looks, world [m]
     stops_arm: bool = False  # whether the robot's wrist and forearm meet it, not only its hand
     bears_upper_arm: bool = False  # whether the upper arm may rest on it, not only forearm and hand
-    rolling: float = 0.0  # of its material, see ``sim.contacts.pair_rolling`` [m]
+    rolling: float = 0.0  # rolling and spinning friction of its material [m]
     pillow: tuple[str, ...] = ()  # collision geoms that bear the girdle, if also the upper arm
     props: tuple[Prop, ...] = ()  # what stands around it
 

@@ -9,18 +9,23 @@ one farthest from AG's is shown. Sliding is measured with a sphere on a plane th
 
 from __future__ import annotations
 
+import functools
 import itertools
 
 import mujoco
 import numpy as np
 
 from agym_jax.robots import ROBOTS
-from agym_jax.sim.contacts import SOLIMP, SOLREF, contact_pairs
+from agym_jax.sim.contacts import SOLIMP, SOLREF, contact_pairs, sides
 from agym_jax.sim.scene import build_scene
 from agym_jax.tasks import TASKS
 from benchmarks.parity.row import Row, traces
 
-BED = {"BedBathing": 5.0, "ArmManipulation": 0.3}  # ag_traces, facts: the bed cannot be queried
+Pair = tuple[float, list[float]]
+BED = {
+    "BedBathing": 5.0,
+    "ArmManipulation": 0.3,
+}  # coefficient, and length [m]; ag_traces, facts: the bed cannot be queried
 NAMES = {"tool": "tool", "robot": "robot", "human": "person"}
 DIRECTIONS, SPEED, LOAD, SLIDE = 32, 0.1, 5.0, 50  # of sliding; [m/s], [N], physics steps
 MATERIALS = {"robot": ("robot",), "human": ("person",), "tool": ("tool", "spoon", "cup", "robot"), "seat": ("wheelchair",), "self": ("person",), "mount": ("nightstand",)}  # fmt: skip
@@ -35,50 +40,36 @@ def recorded(kind: str) -> float:
     return float(values[0]) if len(values) == 1 else float("nan")
 
 
-def pairs() -> dict[str, tuple[float, list[float]]]:
-    """What slides on what -> AG's product, and ours in every model."""
-    found: dict[str, tuple[float, list[float]]] = {}
+@functools.cache
+def pairs() -> tuple[dict[str, Pair], dict[str, Pair]]:
+    """What touches what -> AG's coefficient, and ours in every model; the same of rolling and spinning on the bed [m]."""
+    sliding: dict[str, Pair] = {}
+    rolling: dict[str, Pair] = {}
     for task, robot, active in itertools.product(TASKS.values(), ROBOTS.values(), (False, True)):
         scene = build_scene(task, robot, active)
         for kind, names in contact_pairs(task, robot, scene.moving).items():
-            one, other = kind.replace("/", "_").replace("tool2", "tool").split("_")
+            if not names:
+                continue
+            one, other = sides(kind)
             seat = f"mattress in {task.name}" if task.name in BED else "wheelchair"
-            what = {"seat": seat, "self": "himself", "mount": "nightstand"}.get(
-                other, NAMES.get(other)
-            )
-            ag = np.prod([BED.get(task.name, recorded("seat")) if x == "seat" else recorded(x) for x in (one, other)])  # fmt: skip
-            _, ours = found.setdefault(f"{NAMES[one]} on {what}", (float(ag), []))
+            others = {"seat": seat, "self": "himself", "mount": "nightstand"}
+            what = f"{NAMES[one]} on {others.get(other, NAMES.get(other))}"
+            on_bed = other == "seat" and task.name in BED
+            ag = recorded(one) * (BED[task.name] if on_bed else recorded(other))
+            _, slid = sliding.setdefault(what, (ag, []))
+            _, rolled = rolling.setdefault(what, (ag, [])) if on_bed else (ag, [])
             for model in (scene.model, scene.female):
                 rows = [model.pair(f"{a}|{b}").id for a, b in names]
-                ours += model.pair_friction[rows, :2].ravel().tolist()
-    return {what: both for what, both in found.items() if both[1]}
+                slid += model.pair_friction[rows, :2].ravel().tolist()
+                resisted = model.pair_dim[rows, None] == 6
+                rolled += np.where(resisted, model.pair_friction[rows, 2:], 0.0).ravel().tolist()
+    return sliding, rolling
 
 
-def rolling_on_bed() -> list[Row]:
-    """Rolling and spinning friction of what meets the bed."""
-    found: dict[str, tuple[float, list[float]]] = {}
-    for task, robot, active in itertools.product(BED, ROBOTS.values(), (False, True)):
-        scene = build_scene(TASKS[task], robot, active)
-        for kind, names in contact_pairs(TASKS[task], robot, scene.moving).items():
-            one, other = kind.replace("/", "_").replace("tool2", "tool").split("_")
-            if other == "seat" and names:
-                ag = BED[task] * recorded(one)
-                _, ours = found.setdefault(f"{NAMES[one]} on mattress in {task}", (ag, []))
-                for model in (scene.model, scene.female):
-                    rows = [model.pair(f"{a}|{b}").id for a, b in names]
-                    resisted = model.pair_dim[rows, None] == 6
-                    ours += np.where(resisted, model.pair_friction[rows, 2:], 0.0).ravel().tolist()
-    return [
-        Row(
-            f"rolling and spinning, {what}",
-            "m",
-            ag,
-            max(ours, key=lambda x: abs(x - ag)),
-            1e-4,
-            "bed-contact" if what.startswith("person") else "",
-        )
-        for what, (ag, ours) in found.items()
-    ]
+def farthest(pair: Pair) -> float:
+    """Of our values the one that differs most from AG's."""
+    ag, ours = pair
+    return max(ours, key=lambda x: abs(x - ag))
 
 
 def sliding(friction: float) -> np.ndarray:
@@ -115,18 +106,17 @@ def sliding(friction: float) -> np.ndarray:
 
 def rows() -> list[Row]:
     """The comparison."""
-    found = pairs()
-    out = [
-        Row(f"coefficient, {what}", "", ag, max(ours, key=lambda x: abs(x - ag)), 1e-4)
-        for what, (ag, ours) in found.items()
-    ]
-    product = found["tool on person"][0]
+    slides, rolls = pairs()
+    product = slides["tool on person"][0]
     slid = sliding(product)
     # Bullet: of one body times the lateral friction of the other, and the other way round
     rolling = recorded("human") * float(traces("friction")["rolling"].max())
     return [
-        *out,
-        *rolling_on_bed(),
+        *(Row(f"coefficient, {what}", "", x[0], farthest(x), 1e-4) for what, x in slides.items()),
+        *(
+            Row(f"rolling and spinning, {what}", "m", x[0], farthest(x), 1e-4, "bed-contact" if what.startswith("person") else "")
+            for what, x in rolls.items()
+        ),
         Row("tangential over normal force of a sliding tool, most", "", product, float(slid.max()), 0.05 * product),
         Row("the same, mean of all directions", "", product, float(slid.mean()), 0.05 * product, "friction-pyramid"),
         Row("the same, least", "", product, float(slid.min()), 0.05 * product, "friction-pyramid"),

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 EPISODE_LENGTH = 200
+BEDS = ("BedBathing", "ArmManipulation")
 QUATS = {"Feeding": (3, 20), "Drinking": (3, 20), "ArmManipulation": (3, 10)}
 """First columns of the quaternions that robots observe; (3,) in other tasks."""
 ANGLES = {
@@ -123,13 +124,33 @@ def reset(env: Any, seed: int) -> np.ndarray:
     return np.asarray(env.reset(), float)
 
 
-def run_episode(env: Any, act: Act, task: str, robot: str, seed: int) -> SimpleNamespace:
+def roll(env: Any, length: float) -> None:
+    """Set the rolling and spinning friction of the bed's material [m]; Assistive Gym's is 5 in BedBathing, 0.3 in ArmManipulation."""
+    import pybullet
+
+    frictions = {"rollingFriction": length, "spinningFriction": length}
+    pybullet.changeDynamics(env.bed, -1, **frictions, physicsClientId=env.id)
+
+
+def run_episode(
+    env: Any, act: Act, task: str, robot: str, seed: int, bed_rolling: float | None = None
+) -> SimpleNamespace:
     """One episode.
+
+    Args:
+        env: from ``make_env``.
+        act: from ``load_actor``.
+        task: of the environment.
+        robot: of the environment, in lower case.
+        seed: of the episode.
+        bed_rolling: see ``roll``, from the start of the episode on; None leaves it alone.
 
     Returns:
         ``success``, ``total`` reward, and the mean and greatest ``forces`` on the person [N].
     """
     obs = reset(env, seed)
+    if bed_rolling is not None:
+        roll(env, bed_rolling)
     translate, forces, total, info = Translator(task, robot, obs), [], 0.0, {}
     twice = task == "ArmManipulation" and robot in ("jaco", "sawyer")  # it takes their action twice
     for _ in range(EPISODE_LENGTH):
@@ -163,14 +184,21 @@ def main() -> None:
     flags.add_argument(
         "--seed", type=int, default=0, help="of the first episode; the next has the next"
     )
+    flags.add_argument(
+        "--bed-rolling",
+        type=float,
+        help="rolling friction of the bed's material after the reset [m]",
+    )
     flags.add_argument("--json", type=Path, help="file that a line with the result is appended to")
     given = flags.parse_args()
     task, robot = parse(given.env_name)
+    if given.bed_rolling is not None and task not in BEDS:
+        raise SystemExit(f"--bed-rolling: there is no bed in {task}, only in {' and '.join(BEDS)}.")
     act, about = load_actor(given.policy)
     env, found = make_env(task, robot), []
     for seed in range(given.seed, given.seed + given.num_episodes):
         began = time.time()
-        found.append(run_episode(env, act, task, robot, seed))
+        found.append(run_episode(env, act, task, robot, seed, given.bed_rolling))
         won, last = sum(x.success for x in found), found[-1]
         print(
             f"seed {seed}: {'success' if last.success else 'failure'}, return {last.total:.1f}, force up to "
@@ -186,6 +214,8 @@ def main() -> None:
             "force": float(np.mean([x.forces[0] for x in found])),
             "time": datetime.now(UTC).isoformat(timespec="seconds"),
         }  # fmt: skip
+        if given.bed_rolling is not None:
+            line["changes"] = {"bed_rolling": given.bed_rolling}
         with given.json.open("a") as file:
             file.write(json.dumps(line) + "\n")
 

@@ -89,3 +89,10 @@ def test_an_episode_follows_from_its_seed_alone():
     env.human_joint_lower_limits = env.human_joint_upper_limits = [1.0]
     np.testing.assert_array_equal(ag.reset(env, 3), first)
     assert not np.array_equal(ag.reset(env, 4), first)
+
+
+def test_a_bed_is_changed_only_where_there_is_one(monkeypatch: pytest.MonkeyPatch):
+    argv = ["in_assistive_gym.py", "FeedingJaco-v0", "none.npz", "--bed-rolling", "0"]
+    monkeypatch.setattr("sys.argv", argv)
+    with pytest.raises(SystemExit, match="no bed in Feeding, only in BedBathing and ArmManip"):
+        ag.main()

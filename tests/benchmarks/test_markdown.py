@@ -33,3 +33,5 @@ def test_every_change_of_the_physics_is_explained_and_of_some_environment():
 )
 def test_a_result_is_of_the_physics_of_its_time(env, time, earlier):
     assert is_earlier({"env": env, "time": time}) is earlier
+    theirs = {"kind": "in-assistive-gym", "env": env, "time": time}
+    assert not is_earlier(theirs)  # our changes do not change Assistive Gym

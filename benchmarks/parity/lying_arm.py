@@ -11,6 +11,7 @@ import functools
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import agym_jax
@@ -35,7 +36,7 @@ def moved() -> np.ndarray:
             action[:, env.action_sizes["robot"] + joint] = sign
             start = np.asarray(state.data.qpos)[:, qpos]
             for _ in range(STEPS):
-                state = envs.step(state, action)
+                state = envs.step(state, jnp.asarray(action))
             out[:, joint, side] = (np.asarray(state.data.qpos)[:, qpos] - start)[:, joint]
     return out
 

@@ -14,9 +14,6 @@ DEVIATION(goal-contact): a further goal counts as reached where the inverse kine
 then inside the person's arm, is pushed for five physics steps first. That takes few goals away there: were those left out that
 contacts in C MuJoCo push away by 3 cm within five steps, Jaco's mean base would stand 13 cm (ArmManipulation) and 4 cm
 (BedBathing) from AG's along the bed; as it is it stands within 1 cm (37 and 40 resets recorded).
-DEVIATION(base-place): the mean base of ArmManipulationSawyer stands 6 cm from AG's along the bed and 2 cm nearer to it (40 resets recorded), the others
-within the sampling errors. Goals count as reached here even if the arm reaches them inside the robot's own body, which AG's contacts prevent: if they
-do not count, the mean base stands 4 and 1 cm off (192 rows, standard errors 1.4 and 0.5 cm). The banks are not made so yet.
 DEVIATION(start-person): a start pose is drawn apart from the person of the episode; in AG the base is chosen for that
 person's arm or mouth. Points of people's arms differ by 2 cm and mouths by 3 cm (standard deviation). From a chosen base the
 goals of another person are reached as often as those of its own within 3 % (20 pairs, 32 to 96 bases, 4 other people each), only by PR2 in
@@ -267,19 +264,23 @@ class Reach:
         self.tried += len(who)
 
         def reach(
-            arm: int, wanted: np.ndarray, turn: Quat | None
+            arm: int, wanted: np.ndarray, turn: Quat | None, begun: bool = True
         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             at = np.flatnonzero(alive)
             begin = np.tile(self.rest[arm], (len(at), 1))
             q, good, value = self.solve(
                 arm, begin, wanted[who[at]], turn, pos[at], quat[at], ITERATIONS
             )
+            if begun:
+                for i in np.flatnonzero(good):
+                    arms = [q[i] if a == arm else x[at[i]] for a, x in enumerate(angles)]
+                    good[i] = self._outside_itself(pos[at[i]], quat[at[i]], np.concatenate(arms))
             count[at] += good
             score[at] += np.where(good, value, 0.0)
             return at, q, good
 
         for arm, solver in enumerate(self.solvers):
-            at, q, good = reach(arm, starts[:, arm], self.quats[arm])
+            at, q, good = reach(arm, starts[:, arm], self.quats[arm], begun=False)
             angles.append(np.zeros((len(who), solver.n)))
             angles[-1][at] = q
             alive[at] &= good
@@ -295,11 +296,19 @@ class Reach:
         return np.concatenate(angles, axis=1), np.where(alive, count, 0.0), score
 
     def _free(self, pos: np.ndarray, quat: np.ndarray, angles: np.ndarray) -> bool:
-        """Whether the arms touch nothing; some are not kept from the robot's own body in AG."""
+        """Whether the arms touch nothing."""
         place = Placement(pos, quat, angles)  # pyrefly: ignore[bad-argument-type]
-        if not self.robot.meets_itself and self.clearance.inside(place) <= CLEARANCE:
+        if not self._outside_itself(pos, quat, angles, CLEARANCE):
             return False
         return self.clearance.outside(place) > CLEARANCE
+
+    def _outside_itself(
+        self, pos: np.ndarray, quat: np.ndarray, angles: np.ndarray, apart: float = 0.0
+    ) -> bool:
+        """Whether the arms stay ``apart`` [m] from the robot's own body; some are not kept from it in AG."""
+        if self.robot.meets_itself:
+            return True
+        return self.clearance.inside(Placement(pos, quat, angles)) > apart  # pyrefly: ignore[bad-argument-type]
 
     def _bases(self, n: int) -> tuple[np.ndarray, np.ndarray]:
         """Positions [m] (n, 3) and orientations wxyz (n, 4) of candidates."""

@@ -144,7 +144,7 @@ def _pair(task: str, robot: str) -> list[Row]:
         k: traces("starts")[f"{task}{robot}_{k}"].astype(float) for k in ("arm_q", "base", "hand")
     }
     n, name = len(ag["arm_q"]), f"{task}, {robot}"
-    less = "base-place" if ag["base"][:, 1].std() > 0 else "start-free"
+    less = "goal-contact" if ag["base"][:, 1].std() > 0 else "start-free"
     found: list[Row] = []
 
     def add(quantity: str, unit: str, theirs: float, mine: float, tolerance: float) -> None:

@@ -20,9 +20,9 @@ from agym_jax.errors import MissingPlacementError, SpecError
 from agym_jax.human import pose as human_pose
 from agym_jax.math3d import rotation_matrix
 from agym_jax.offline import placements
-from agym_jax.offline.base_search import REACHED, search
+from agym_jax.offline.base_search import REACHED, Reach, search
 from agym_jax.offline.clearance import Clearance
-from agym_jax.offline.start_goals import goal_quat, goals_of
+from agym_jax.offline.start_goals import draw_goals, goal_quat, goals_of
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import compose
 from agym_jax.spec import BaseSearch, RobotSpec, Task
@@ -265,6 +265,29 @@ def test_search_finds_contact_free_start_poses(
             assert np.linalg.norm(pos - point) < REACHED + 1e-5
             assert turned_by(rot, robot.start_rotations[task.name]) < TURNED
         assert not world.touching()
+
+
+def goals_counted(robot: RobotSpec, monkeypatch: pytest.MonkeyPatch) -> tuple[int, int]:
+    """Goals of ArmManipulation that 400 bases reach, and those they would if an arm could be in the robot's own body."""
+    task = TASKS["ArmManipulation"]
+    counts = []
+    for distance in (None, 1.0):
+        if distance is not None:
+            monkeypatch.setattr(Clearance, "inside", lambda *_, x=distance: x)
+        reach = Reach(task, robot, np.random.default_rng(1))
+        starts, points = draw_goals(task, robot, reach.goals, 4, 1, reach.rng)
+        reach.from_best_base(starts, points, 100)
+        counts.append(sum(reach.goals_reached.values()))
+    return counts[0], counts[1]
+
+
+def test_goals_inside_the_robots_own_body_do_not_count(monkeypatch: pytest.MonkeyPatch):
+    """AG loads Sawyer with self-collision, and PR2 without."""
+    counted, all_of_them = goals_counted(ROBOTS["Sawyer"], monkeypatch)
+    assert 0.5 * all_of_them < counted < all_of_them
+    monkeypatch.undo()
+    counted, all_of_them = goals_counted(ROBOTS["PR2"], monkeypatch)
+    assert counted == all_of_them
 
 
 def test_search_is_reproducible():

@@ -5,7 +5,8 @@ beside the person, and each pose that the task will need is solved for once, fro
 from which the start is reached, the one that reaches most, with joints far from their limits and high kinematic
 isotropy, is where the episode begins. A robot with a fixed base takes the first solution that fits. Start
 poses thus have the families, the proportions and the errors of AG's inverse kinematics (``bullet_ik``); nothing is
-chosen among them.
+chosen among them. A goal that the arm reaches only inside the robot's own body does not count where AG loads the robot with
+self-collision (Sawyer, Jaco).
 
 DEVIATION(start-free): start poses in which the arm in use or its tool would touch the person or the furniture are tried
 again; AG keeps those in which five physics steps do not push the hand away by 3 cm. Of 452 starts recorded there 5 are in
@@ -264,23 +265,26 @@ class Reach:
         self.tried += len(who)
 
         def reach(
-            arm: int, wanted: np.ndarray, turn: Quat | None, begun: bool = True
+            arm: int, wanted: np.ndarray, turn: Quat | None
         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             at = np.flatnonzero(alive)
             begin = np.tile(self.rest[arm], (len(at), 1))
             q, good, value = self.solve(
                 arm, begin, wanted[who[at]], turn, pos[at], quat[at], ITERATIONS
             )
-            if begun:
+            if len(angles) == len(
+                self.solvers
+            ):  # a goal, which the arm must not reach in the robot's body
                 for i in np.flatnonzero(good):
                     arms = [q[i] if a == arm else x[at[i]] for a, x in enumerate(angles)]
-                    good[i] = self._outside_itself(pos[at[i]], quat[at[i]], np.concatenate(arms))
+                    place = Placement(pos[at[i]], quat[at[i]], np.concatenate(arms))  # pyrefly: ignore[bad-argument-type]
+                    good[i] = self._outside_itself(place, 0.0)
             count[at] += good
             score[at] += np.where(good, value, 0.0)
             return at, q, good
 
         for arm, solver in enumerate(self.solvers):
-            at, q, good = reach(arm, starts[:, arm], self.quats[arm], begun=False)
+            at, q, good = reach(arm, starts[:, arm], self.quats[arm])
             angles.append(np.zeros((len(who), solver.n)))
             angles[-1][at] = q
             alive[at] &= good
@@ -298,17 +302,11 @@ class Reach:
     def _free(self, pos: np.ndarray, quat: np.ndarray, angles: np.ndarray) -> bool:
         """Whether the arms touch nothing."""
         place = Placement(pos, quat, angles)  # pyrefly: ignore[bad-argument-type]
-        if not self._outside_itself(pos, quat, angles, CLEARANCE):
-            return False
-        return self.clearance.outside(place) > CLEARANCE
+        return self._outside_itself(place, CLEARANCE) and self.clearance.outside(place) > CLEARANCE
 
-    def _outside_itself(
-        self, pos: np.ndarray, quat: np.ndarray, angles: np.ndarray, apart: float = 0.0
-    ) -> bool:
-        """Whether the arms stay ``apart`` [m] from the robot's own body; some are not kept from it in AG."""
-        if self.robot.meets_itself:
-            return True
-        return self.clearance.inside(Placement(pos, quat, angles)) > apart  # pyrefly: ignore[bad-argument-type]
+    def _outside_itself(self, place: Placement, apart: float) -> bool:
+        """Whether the arms are ``apart`` [m] from the robot's own body; some are not kept from it in AG."""
+        return self.robot.meets_itself or self.clearance.inside(place) > apart
 
     def _bases(self, n: int) -> tuple[np.ndarray, np.ndarray]:
         """Positions [m] (n, 3) and orientations wxyz (n, 4) of candidates."""

@@ -22,10 +22,8 @@ from agym_jax.tasks import TASKS
 from benchmarks.parity.row import Row, traces
 
 Pair = tuple[float, list[float]]
-BED = {
-    "BedBathing": 5.0,
-    "ArmManipulation": 0.3,
-}  # coefficient, and length [m]; ag_traces, facts: the bed cannot be queried
+# Coefficient of sliding and length of rolling [m] of the bed, which cannot be queried; ag_traces, facts
+BED = {"BedBathing": 5.0, "ArmManipulation": 0.3}
 NAMES = {"tool": "tool", "robot": "robot", "human": "person"}
 DIRECTIONS, SPEED, LOAD, SLIDE = 32, 0.1, 5.0, 50  # of sliding; [m/s], [N], physics steps
 MATERIALS = {"robot": ("robot",), "human": ("person",), "tool": ("tool", "spoon", "cup", "robot"), "seat": ("wheelchair",), "self": ("person",), "mount": ("nightstand",)}  # fmt: skip

@@ -15,7 +15,7 @@ import argparse
 import json
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -173,7 +173,7 @@ def parse(name: str) -> tuple[str, str]:
     return next(t for t in ANGLES if t.lower() == found[1].lower()), found[2].lower()
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Run the episodes, with a line for each."""
     flags = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
@@ -190,7 +190,7 @@ def main() -> None:
         help="rolling friction of the bed's material after the reset [m]",
     )
     flags.add_argument("--json", type=Path, help="file that a line with the result is appended to")
-    given = flags.parse_args()
+    given = flags.parse_args(arguments)
     task, robot = parse(given.env_name)
     if given.bed_rolling is not None and task not in BEDS:
         raise SystemExit(f"--bed-rolling: there is no bed in {task}, only in {' and '.join(BEDS)}.")

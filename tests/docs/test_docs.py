@@ -164,7 +164,9 @@ def headings(text: str) -> set[str]:
     return {re.sub(r"[^\w -]", "", x).lower().replace(" ", "-") for x in found}
 
 
-TOOL = re.compile(r"(?:agym-jax|python -m agym_jax|python -m (train|benchmarks)\.) ?([a-z_-]+)")
+TOOL = re.compile(
+    r"(?:agym-jax|python -m agym_jax|python (?:-m )?(train|benchmarks)[./]) ?([a-z_-]+)"
+)
 
 
 @cache

@@ -27,7 +27,7 @@ from train.evaluation.seed_scores import score_seeds
 from train.runs.record import append_record, record
 from train.select import load_seeds
 
-FOLDER = "cost_limit="
+FOLDER = "cost_limit"
 
 
 class SweepFolderError(AgymError, ValueError):
@@ -50,19 +50,42 @@ class LimitsConfig:
     """File to which the results are added as JSON lines."""
 
 
+def limits_of(sweep: Path) -> tuple[dict[float, Path], dict[str, float]]:
+    """The folder of each cost limit of a sweep, and the other hyperparameters of its grid, which all limits share.
+
+    Raises:
+        SweepFolderError: the folder has no limits, or other hyperparameters vary too.
+    """
+    settings = {
+        folder: {name: float(value) for name, _, value in (x.partition("=") for x in folder.name.split(","))}
+        for folder in sorted(sweep.glob(f"*{FOLDER}=*"))
+    }  # fmt: skip
+    folders = {values.pop(FOLDER): folder for folder, values in settings.items()}
+    if not folders:
+        raise SweepFolderError(
+            f"{sweep} has no folder {FOLDER}=...: agym-jax sweep --grid cost_limit=0.1,0.5,5,1e6 makes them."
+        )
+    others = next(iter(settings.values()))
+    if any(values != others for values in settings.values()):
+        varied = sorted(
+            {x for values in settings.values() for x in values.items() ^ others.items()}
+        )
+        raise SweepFolderError(
+            f"{sweep} varies more than {FOLDER}: {', '.join(f'{name}={value:g}' for name, value in varied)}. "
+            "Limits are compared with everything else alike."
+        )
+    return folders, others
+
+
 def measure(config: LimitsConfig) -> list[Line]:
     """A line for each limit of a sweep, the lowest first.
 
     Raises:
-        SweepFolderError: the folder has none.
+        SweepFolderError: see ``limits_of``.
         AgymError: see ``load_seeds``.
     """
     sweep = config.sweep.resolve()
-    folders = {float(x.name.removeprefix(FOLDER)): x for x in sweep.glob(f"{FOLDER}*")}
-    if not folders:
-        raise SweepFolderError(
-            f"{sweep} has no folder {FOLDER}...: agym-jax sweep --grid cost_limit=0.1,0.5,5,1e6 makes them."
-        )
+    folders, others = limits_of(sweep)
     trained = json.loads((sweep / "config.json").read_text())["config"]
     evaluator: Any = None
     lines = []
@@ -80,6 +103,8 @@ def measure(config: LimitsConfig) -> list[Line]:
                 impl=str(getattr(env, "impl", config.impl)),
                 num_env_steps=trained["num_env_steps"],
                 num_envs=trained["num_envs"],
+                setting=others,
+                started_from=trained.get("robot_policy"),
             )
         )
         print(f"limit {limit:g}\n{scores.table()}", flush=True)

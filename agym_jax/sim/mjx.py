@@ -42,6 +42,7 @@ meets the arm can press with 24 N where C MuJoCo has 2.6 N; with 20 they agree w
 ``tests/sim/test_parity.py`` compares a pressing rollout with C MuJoCo; ``python -m benchmarks.nan`` looks for NaN."""
 WARP_CONTACTS_PER_ENV = 40
 WARP_ROWS_PER_ENV = 128
+"""Rows of constraints of an environment, see ``warp_rows``."""
 WARP_ITERATIONS, WARP_LS_ITERATIONS = 20, 20
 """Warp stops when it has converged, so generous limits cost nothing."""
 WARP_LOST = 0b1001111
@@ -86,7 +87,7 @@ class MjxPhysics:
             self.scene.model,
             impl=self.impl,
             naconmax=WARP_CONTACTS_PER_ENV * self.num_envs,
-            njmax=WARP_ROWS_PER_ENV,
+            njmax=warp_rows(self.scene.model),
         )
 
     def reset(self, data: mjx.Data, episode: Episode, where: Array | None = None) -> mjx.Data:
@@ -186,6 +187,15 @@ def _write(
     return data, solref.at[dofs].set(drive.solref)
 
 
+def warp_rows(model: mujoco.MjModel) -> int:
+    """Rows of constraints that Warp keeps of each environment.
+
+    A contact with rolling friction (the bed's) has 10 rows, others have 4. A scoop of many parts on the bed, held by a robot that
+    leans on it too, needs more than 128: so did some 7 of a million environment steps when ArmManipulationJaco was trained from nothing.
+    """
+    return WARP_ROWS_PER_ENV * (2 if 6 in model.pair_dim else 1)
+
+
 def put_model(model: mujoco.MjModel, impl: str) -> Any:
     """A MuJoCo model on the device, with the solver limits of the implementation."""
     model = copy.copy(model)
@@ -194,7 +204,7 @@ def put_model(model: mujoco.MjModel, impl: str) -> Any:
         return mjx.put_model(model, impl=impl)
     model.opt.iterations, model.opt.ls_iterations = WARP_ITERATIONS, WARP_LS_ITERATIONS
     hold_streams()
-    compile_kernels(model, WARP_ROWS_PER_ENV, WARP_CONTACTS_PER_ENV, WARP_LOST)
+    compile_kernels(model, warp_rows(model), WARP_CONTACTS_PER_ENV, WARP_LOST)
     put = mjx.put_model(model, impl=impl)
     option = put.opt._impl.replace(warn_overflow=WARP_LOST)  # no print for iteration limits
     return put.replace(opt=put.opt.replace(_impl=option))

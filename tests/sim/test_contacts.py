@@ -16,6 +16,7 @@ from agym_jax.human import body
 from agym_jax.robots import ROBOTS
 from agym_jax.sim import sensing
 from agym_jax.sim.contacts import contact_pairs, pair_friction, pair_rolling, touch_rows
+from agym_jax.sim.mjx import WARP_ROWS_PER_ENV, warp_rows
 from agym_jax.sim.scene import build_scene
 from agym_jax.tasks import TASKS
 
@@ -256,3 +257,20 @@ def test_jaco_meets_its_arm_and_its_nightstand_where_it_does_in_assistive_gym(an
         if {g, other} in paired
     ]
     assert min(near) < 0.01
+
+
+def test_warp_has_room_for_a_tool_and_an_arm_that_lie_on_the_bed():
+    model = build_scene(TASKS["ArmManipulation"], ROBOTS["PR2"]).model
+    kinds = [
+        {model.geom(g).name.split("/")[0] for g in pair}
+        for pair in zip(model.pair_geom1, model.pair_geom2, strict=True)
+    ]
+    on_bed = [
+        2 * (int(dim) - 1)
+        for kind, dim in zip(kinds, model.pair_dim, strict=True)
+        if kind in ({"seat", "tool"}, {"seat", "human"})
+    ]
+    assert max(on_bed) == 10  # rows of a contact that rolls and turns
+    rows = sum(on_bed) + int(model.jnt_limited.sum())
+    assert WARP_ROWS_PER_ENV < rows <= warp_rows(model)
+    assert warp_rows(build_scene(TASKS["Feeding"], ROBOTS["Sawyer"]).model) == WARP_ROWS_PER_ENV

@@ -87,3 +87,14 @@ def test_every_limit_of_a_sweep_is_measured_over_the_same_people(tmp_path, monke
 def test_a_folder_without_limits_is_refused(tmp_path, capsys):
     assert limits.main([str(tmp_path)]) == 2
     assert "agym-jax sweep --grid cost_limit=" in capsys.readouterr().err
+
+
+def test_limits_are_compared_with_everything_else_alike(tmp_path):
+    for limit in ("1e+06", "0.1"):
+        (tmp_path / f"lr=0.0002,cost_limit={limit}").mkdir()
+    folders, others = limits.limits_of(tmp_path)
+    assert sorted(folders) == [0.1, 1e6]
+    assert others == {"lr": 0.0002}
+    (tmp_path / "lr=0.001,cost_limit=0.5").mkdir()
+    with pytest.raises(limits.SweepFolderError, match="lr=0.001"):
+        limits.limits_of(tmp_path)

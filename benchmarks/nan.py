@@ -1,6 +1,7 @@
-"""Does the physics ever break? A hundred million random steps: NaN, lost contacts, force peaks.
+"""Does the physics ever break? A hundred million steps: NaN, lost contacts, force peaks.
 
 python -m benchmarks.nan --impl warp --num-envs 16384
+python -m benchmarks.nan --policy shipped --env-name FeedingJaco-v0
 """
 
 from __future__ import annotations
@@ -11,13 +12,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
 
+import agym_jax
 from agym_jax.flags import Count
 from benchmarks.keep import keep
 from benchmarks.rollout import CHUNK, first_state, make_batch, random_steps, zero_totals
@@ -37,6 +39,8 @@ class NanConfig:
     """Physics: "jax", "warp", "auto"."""
     num_envs: Count = 16_384
     """Environments side by side."""
+    policy: Literal["random", "shipped"] = "random"
+    """Actions: drawn at random, or by the mode of the policy that ships."""
     num_steps: Count = 100_000_000
     """Steps in all, rounded up."""
     seed: int = 0
@@ -80,7 +84,8 @@ def search(config: NanConfig) -> dict[str, Any]:
     empty = {f"{name}/max": jnp.zeros(()) for name in FORCES}
     empty |= {f"{name}/counts": jnp.zeros(BINS, jnp.int32) for name in FORCES}
     empty |= zero_totals()
-    run = jax.jit(random_steps(venv, add_forces)).lower(state, key, empty).compile()
+    act = None if config.policy == "random" else agym_jax.load_policy(config.env_name, venv.env)
+    run = jax.jit(random_steps(venv, add_forces, act=act)).lower(state, key, empty).compile()
     chunks = math.ceil(config.num_steps / (CHUNK * config.num_envs))
     sums: dict[str, Any] = {}
     start = said = time.perf_counter()
@@ -103,6 +108,7 @@ def search(config: NanConfig) -> dict[str, Any]:
         "env": config.env_name,
         "impl": venv.impl,
         "num_envs": config.num_envs,
+        "policy": config.policy,
         "total_steps": chunks * CHUNK * config.num_envs,
         "seed": config.seed,
         "nan": int(sums["nan"]),

@@ -15,13 +15,18 @@ def nan(folder: Path = RESULTS) -> str:
     columns = {
         "environment": lambda x: x["env"],
         "physics": lambda x: x["impl"],
-        "random steps": lambda x: f"{x['total_steps']:,}",
+        "actions": _actions,
+        "steps": lambda x: f"{x['total_steps']:,}",
         "NaN": lambda x: x["nan"],
         "force on the person, 99.99th percentile": lambda x: f"{x['force/on_human/p99.99']:.1f} N",
         "maximum": lambda x: f"{x['force/on_human/max']:.1f} N",
     }
-    lines = read_results("nan", ("env", "impl"), folder)
-    return table(lines, columns, itemgetter("env", "impl"))
+    lines = read_results("nan", ("env", "impl", "policy"), folder)
+    return table(lines, columns, lambda x: (x["env"], x["impl"], _actions(x)))
+
+
+def _actions(line: Line) -> str:
+    return {"random": "random", "shipped": "the shipped policy's"}[line.get("policy", "random")]
 
 
 def reach(folder: Path = RESULTS) -> str:

@@ -1,4 +1,4 @@
-"""Random actions in many environments at once: what throughput and the NaN search run."""
+"""Random actions, or a policy's, in many environments at once: what throughput and the NaN search run."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from agym_jax.wrappers import vectorize
 CHUNK = 50  # control steps in one compiled call, if nobody wants fewer
 Totals = dict[str, jax.Array]
 Extra = Callable[[Totals, Any], Totals]
+Act = Callable[[jax.Array], jax.Array]
 
 
 def make_batch(env_name: str, impl: str, num_envs: int) -> Any:
@@ -39,7 +40,7 @@ def zero_totals() -> Totals:
 
 
 def random_steps(
-    venv: Any, extra: Extra | None = None, steps: int = CHUNK
+    venv: Any, extra: Extra | None = None, steps: int = CHUNK, act: Act | None = None
 ) -> Callable[..., tuple[Any, Totals]]:
     """The function to compile: ``run(state, key, totals)``, some steps of every environment.
 
@@ -47,6 +48,7 @@ def random_steps(
         venv: from ``make_batch``.
         extra: adds to totals of its own after each step, given the state of the batch.
         steps: of a call.
+        act: actions (num_envs, action) of a batch of observations; None draws them uniformly from [-1, 1].
 
     Returns:
         ``run``, which returns the state and the totals: environment steps that went non-finite
@@ -57,7 +59,8 @@ def random_steps(
         def step(carry: tuple, key: jax.Array) -> tuple[tuple, None]:
             state, totals = carry
             shape = (venv.num_envs, venv.action_size)
-            action = jax.random.uniform(key, shape, minval=-1.0, maxval=1.0)
+            drawn = jax.random.uniform(key, shape, minval=-1.0, maxval=1.0)
+            action = act(state.obs) if act else drawn
             state = strong(venv.step(state, action))
             counts = {
                 "nan": state.metrics["nan"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections.abc import Iterator
@@ -30,6 +31,12 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest groups of tests come first."""
     arrange(items)
+
+
+def pytest_collection_finish() -> None:
+    """The garbage collector leaves alone what was imported and collected, and looks less often: JAX makes many objects that stay."""
+    gc.freeze()
+    gc.set_threshold(100_000, 50, 100)
 
 
 @pytest.hookimpl(optionalhook=True)  # of pytest-xdist

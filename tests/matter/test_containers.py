@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from xla_flags import RUN_QUICKLY
 
 from agym_jax.data.npz import provenance_of, read_arrays
 from agym_jax.errors import MissingFillError, UnknownNameError
@@ -48,7 +49,10 @@ def moves() -> dict[str, Any]:
     """Control steps of 0.1 s of four environments, by vessel."""
     axes = Obstacles(0, 0, replace(no_capsules(), a_w=0, b_w=0, radius=None), None, None)  # type: ignore
     return {
-        name: jax.jit(jax.vmap(lambda p, m, s=spec, d=dt: advance(s, p, m, d), in_axes=(0, axes)))
+        name: jax.jit(
+            jax.vmap(lambda p, m, s=spec, d=dt: advance(s, p, m, d), in_axes=(0, axes)),
+            compiler_options=RUN_QUICKLY,
+        )
         for name, (spec, dt) in PARTS.items()
     }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from importlib.metadata import version
+from typing import Any
 
 import jax
 
@@ -19,6 +20,8 @@ KNOWN = {
 
 FRAMES = "jax_traceback_in_locations_limit"
 """Frames of Python that each operation is given when JAX lowers it. One, not ten: a seventh less CPU time in tests/train/test_coop.py."""
+RUN_QUICKLY: Any = {"xla_backend_optimization_level": 3}
+"""Options of a ``jax.jit`` for a small program that runs for minutes of simulated time."""
 
 
 def compile_quickly() -> None:

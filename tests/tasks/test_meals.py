@@ -50,16 +50,22 @@ def env_of(name: str) -> Any:
 
 
 @cache
+def episodes(task: str) -> list[Any]:
+    """How those of the people begin."""
+    env = env_of(f"{task}Jaco-v0")
+    return [env.reset(jax.random.PRNGKey(seed)) for seed in range(PEOPLE)]
+
+
+@cache
 def humans(task: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Their capsules, as they sit: both ends (PEOPLE, k, 3), radii (PEOPLE, k) [m]. No robot changes them."""
     env = env_of(f"{task}Jaco-v0")
     bodies = dict(zip(env.scene.index.links, env.scene.index.human_body, strict=True))
-    found = []
-    for seed in range(PEOPLE):
-        state = env.reset(jax.random.PRNGKey(seed))
+    found, capsules = [], jax.jit(link_capsules, static_argnums=1)
+    for state in episodes(task):
         pos = {x: np.asarray(state.data.xpos)[bodies[x]] for x in LIMBS}
         rot = {x: rotation_matrix(np.asarray(state.data.xquat)[bodies[x]], np) for x in LIMBS}
-        found.append(link_capsules(state.episode.human.dims, LIMBS, pos, rot))
+        found.append(capsules(state.episode.human.dims, LIMBS, pos, rot))
     a, b, radius = (np.stack([np.asarray(x) for x in part]) for part in zip(*found, strict=True))
     return a, b, radius
 
@@ -119,12 +125,11 @@ def test_the_side_of_the_person_is_assistive_gyms_sign(robot: str):
         build_scene(TASKS["Drinking"], ROBOTS[robot]),
         load_bank(TASKS["Drinking"], ROBOTS[robot]),
     )
-    index, env = scene.index, env_of("DrinkingJaco-v0")
+    index = scene.index
     chain = kinematics.chain_of(
         scene.model, index.robot_joint, index.tools[0].tip, index.robot_base
     )
-    keys = [jax.random.PRNGKey(seed) for seed in range(PEOPLE)]
-    mouths = jnp.stack([env.reset(key).task.mouth_pos_w for key in keys])
+    mouths = jnp.stack([state.task.mouth_pos_w for state in episodes("Drinking")])
 
     @jax.jit
     @jax.vmap

@@ -9,6 +9,7 @@ of the seated arm are of ScratchItch. Medians are over twelve drops, or over ten
 from __future__ import annotations
 
 import copy
+import functools
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -147,6 +148,7 @@ def person(sex: int, at_joints: bool = True) -> Person:
     )  # fmt: skip
 
 
+@functools.cache
 def drops(sex: int, at_joints: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """How far twelve arms that fall onto the bed are from AG's [m] (12,).
 
@@ -164,6 +166,7 @@ def drops(sex: int, at_joints: bool = True) -> tuple[np.ndarray, np.ndarray, np.
     return np.array(before), np.array(second), np.array(rest)
 
 
+@functools.cache
 def resting(sex: int, at_joints: bool) -> tuple[np.ndarray, np.ndarray]:
     """Elbow and wrist 3 s after the start of ten episodes, ours and AG's, world [m] (10, 2, 3)."""
     t = traces("limp_arm")

@@ -9,7 +9,7 @@ up to 1 mrad apart (two draws each). All are medians over episodes.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import functools
 from typing import NamedTuple
 
 import jax
@@ -49,7 +49,8 @@ def episode_of(env: agym_jax.Env, case: int) -> Episode:
     return make_episode(env.scene, spec, (human, body, place, None), np)
 
 
-def ours(masses: str, cases: Sequence[int] | None = None) -> Paths:
+@functools.cache
+def ours(masses: str, cases: tuple[int, ...] | None = None) -> Paths:
     """The recorded actions, played here.
 
     Args:

@@ -121,8 +121,8 @@ def test_bank_has_valid_fields_and_order(name: str):
 def test_settled_people_neither_penetrate_nor_float(name: str):
     bank = load_postures(name)
     for i in np.linspace(0, ROWS - 1, SAMPLE).astype(int):
-        _assert_rests(bed_postures.clearances(bank.row(i)), recorded=i < 4 * EACH)
         gap = bed_postures.clearances(bank.row(i))
+        _assert_rests(gap, recorded=i < 4 * EACH)
         assert gap["head"] < 0.04, (i, gap["head"])  # on the pillow
 
 

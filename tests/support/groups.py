@@ -22,11 +22,13 @@ GROUPS = {
 SHARED = {"batch": COMPILED, "rollout": COMPILED}
 """Fixtures that compile an environment -> group that their tests must be in."""
 SECONDS = {
-    COMPILED: 150, "tests/train/test_coop.py": 120, "tests/sim/test_c_mujoco.py": 90,
-    "tests/train/test_seeds.py": 70, "tests/tasks/test_dressing.py": 60, "tests/matter/test_cloth_kernel.py": 50,
-    "tests/offline/test_base_search.py": 50, "tests/tasks/test_meals.py": 40,
-    "tests/matter/test_containers.py": 35, "tests/train/test_ppo.py": 30,
-    "tests/matter/test_cloth.py": 30, "tests/matter/test_particles.py": 30,
+    COMPILED: 120, "tests/train/test_coop.py": 60, "tests/tasks/test_meals.py": 50,
+    "tests/tasks/test_dressing.py": 35, "tests/sim/test_c_mujoco.py": 30, "tests/matter/test_cloth.py": 30,
+    "tests/matter/test_containers.py": 28, "tests/train/test_learner.py": 25, "tests/train/test_seeds.py": 25,
+    "tests/offline/test_base_search.py": 25, "tests/train/test_ppo.py": 24, "tests/adapters/test_brax.py": 23,
+    "tests/offline/test_bed_postures.py": 22, "tests/policy/test_export.py": 22, "tests/train/test_select.py": 20,
+    "tests/train/test_saving.py": 19, "tests/matter/test_cloth_kernel.py": 17, "tests/parity/test_motors.py": 17,
+    "tests/train/test_curves.py": 17, "tests/parity/test_lying_arm.py": 16, "tests/human/test_limits.py": 16,
 }  # fmt: skip
 """What the longest groups take, roughly (2 cores, cold cache)."""
 SLOW_SECONDS = {

@@ -96,5 +96,5 @@ def test_limits_are_compared_with_everything_else_alike(tmp_path):
     assert sorted(folders) == [0.1, 1e6]
     assert others == {"lr": 0.0002}
     (tmp_path / "lr=0.001,cost_limit=0.5").mkdir()
-    with pytest.raises(limits.SweepFolderError, match="lr=0.001"):
+    with pytest.raises(limits.SweepFolderError, match=r"lr=0\.001"):
         limits.limits_of(tmp_path)

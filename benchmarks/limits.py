@@ -26,8 +26,9 @@ from train.evaluation.evaluator import Evaluator
 from train.evaluation.seed_scores import score_seeds
 from train.runs.record import append_record, record
 from train.select import load_seeds
+from train.sweep import Setting, setting_of
 
-FOLDER = "cost_limit"
+LIMIT = "cost_limit"
 
 
 class SweepFolderError(AgymError, ValueError):
@@ -50,31 +51,27 @@ class LimitsConfig:
     """File to which the results are added as JSON lines."""
 
 
-def limits_of(sweep: Path) -> tuple[dict[float, Path], dict[str, float]]:
+def limits_of(sweep: Path) -> tuple[dict[float, Path], Setting]:
     """The folder of each cost limit of a sweep, and the other hyperparameters of its grid, which all limits share.
 
     Raises:
         SweepFolderError: the folder has no limits, or other hyperparameters vary too.
     """
-    settings = {
-        folder: {name: float(value) for name, _, value in (x.partition("=") for x in folder.name.split(","))}
-        for folder in sorted(sweep.glob(f"*{FOLDER}=*"))
-    }  # fmt: skip
-    folders = {values.pop(FOLDER): folder for folder, values in settings.items()}
+    folders, others = {}, []
+    for folder in sorted(sweep.glob(f"*{LIMIT}=*")):
+        setting = setting_of(folder.name)
+        folders[setting.pop(LIMIT)] = folder
+        others.append(setting)
     if not folders:
         raise SweepFolderError(
-            f"{sweep} has no folder {FOLDER}=...: agym-jax sweep --grid cost_limit=0.1,0.5,5,1e6 makes them."
+            f"{sweep} has no folder {LIMIT}=...: agym-jax sweep --grid cost_limit=0.1,0.5,5,1e6 makes them."
         )
-    others = next(iter(settings.values()))
-    if any(values != others for values in settings.values()):
-        varied = sorted(
-            {x for values in settings.values() for x in values.items() ^ others.items()}
-        )
+    if varied := {x for other in others for x in other.items() ^ others[0].items()}:
         raise SweepFolderError(
-            f"{sweep} varies more than {FOLDER}: {', '.join(f'{name}={value:g}' for name, value in varied)}. "
+            f"{sweep} varies more than {LIMIT}: {', '.join(f'{name}={value:g}' for name, value in sorted(varied))}. "
             "Limits are compared with everything else alike."
         )
-    return folders, others
+    return folders, others[0]
 
 
 def measure(config: LimitsConfig) -> list[Line]:

@@ -22,7 +22,7 @@ import tyro
 import agym_jax
 from agym_jax.flags import Count
 from benchmarks.keep import keep
-from benchmarks.rollout import CHUNK, first_state, make_batch, random_steps, zero_totals
+from benchmarks.rollout import CHUNK, first_state, make_batch, run_steps, zero_totals
 
 FORCES = ("force/on_human", "force/tool")
 LOWEST, DECADES, PER_DECADE = 1e-3, 8, 400  # bins of 0.6 % from 1 mN on
@@ -80,12 +80,12 @@ def search(config: NanConfig) -> dict[str, Any]:
     """Run all steps; returns the fields of the result line."""
     key, key_reset = jax.random.split(jax.random.PRNGKey(config.seed))
     venv = make_batch(config.env_name, config.impl, config.num_envs)
+    act = None if config.policy == "random" else agym_jax.load_policy(config.env_name, venv.env)
     state = jax.jit(lambda key: first_state(venv, key))(key_reset)
     empty = {f"{name}/max": jnp.zeros(()) for name in FORCES}
     empty |= {f"{name}/counts": jnp.zeros(BINS, jnp.int32) for name in FORCES}
     empty |= zero_totals()
-    act = None if config.policy == "random" else agym_jax.load_policy(config.env_name, venv.env)
-    run = jax.jit(random_steps(venv, add_forces, act=act)).lower(state, key, empty).compile()
+    run = jax.jit(run_steps(venv, add_forces, act=act)).lower(state, key, empty).compile()
     chunks = math.ceil(config.num_steps / (CHUNK * config.num_envs))
     sums: dict[str, Any] = {}
     start = said = time.perf_counter()

@@ -39,7 +39,7 @@ def zero_totals() -> Totals:
     return dict.fromkeys(names, jnp.zeros((), jnp.int32)) | {"reward": jnp.zeros(())}
 
 
-def random_steps(
+def run_steps(
     venv: Any, extra: Extra | None = None, steps: int = CHUNK, act: Act | None = None
 ) -> Callable[..., tuple[Any, Totals]]:
     """The function to compile: ``run(state, key, totals)``, some steps of every environment.
@@ -59,8 +59,7 @@ def random_steps(
         def step(carry: tuple, key: jax.Array) -> tuple[tuple, None]:
             state, totals = carry
             shape = (venv.num_envs, venv.action_size)
-            drawn = jax.random.uniform(key, shape, minval=-1.0, maxval=1.0)
-            action = act(state.obs) if act else drawn
+            action = act(state.obs) if act else jax.random.uniform(key, shape, minval=-1, maxval=1)
             state = strong(venv.step(state, action))
             counts = {
                 "nan": state.metrics["nan"],

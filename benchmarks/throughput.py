@@ -27,7 +27,7 @@ from benchmarks.rollout import (
     first_state,
     make_batch,
     peak_memory_mb,
-    random_steps,
+    run_steps,
     zero_totals,
 )
 from train.runs.record import append_record, record
@@ -77,7 +77,7 @@ def measure(
     venv = make_batch(env_name, impl, num_envs)
     begin = jax.jit(lambda key: first_state(venv, key)).lower(key_reset).compile()
     state, totals = begin(key_reset), zero_totals()
-    run = jax.jit(random_steps(venv, steps=chunk)).lower(state, key, totals).compile()
+    run = jax.jit(run_steps(venv, steps=chunk)).lower(state, key, totals).compile()
     compiled = time.perf_counter()
     state, totals = jax.block_until_ready(run(state, key, totals))  # Warp loads its kernels here
     warm = time.perf_counter()

@@ -106,6 +106,12 @@ def name_of(setting: Mapping[str, float]) -> str:
     return ",".join(f"{name}={value:g}" for name, value in setting.items())
 
 
+def setting_of(folder: str) -> Setting:
+    """Return the setting that a folder is named after, see ``name_of``."""
+    pairs = (entry.partition("=") for entry in folder.split(","))
+    return {name: float(value) for name, _, value in pairs}
+
+
 def lanes_of_sweep(config: LearnConfig, settings: Sequence[Setting], num_seeds: int) -> list[Lane]:
     """Return the trainings of a sweep: every setting with the same seeds."""
     kinds = {x.name: type(getattr(config, x.name)) for x in dataclasses.fields(config)}

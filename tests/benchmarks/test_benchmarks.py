@@ -6,7 +6,9 @@ from __future__ import annotations
 import dataclasses
 import json
 from types import SimpleNamespace
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from agym_jax.errors import DamagedFileError
 from benchmarks import compile as starts
 from benchmarks import kills, nan, resume, speed_tables, throughput, training_speed, viewer_speed
 from benchmarks.child import ChildError, run_child
+from benchmarks.rollout import run_steps, zero_totals
 from train.configs import parse_arguments
 from train.runs.folder import RunFolder
 
@@ -167,3 +170,29 @@ def test_the_viewer_keeps_up_with_real_time(tmp_path):
     assert viewer_speed.main(words) == 0
     line = json.loads(file.read_text())
     assert 5 < line["frames_per_s"] < 26 and 0.8 < line["share_of_real_time"] < 1.2
+
+
+class Flat(NamedTuple):
+    """A state of environments that only move."""
+
+    obs: Any
+    reward: Any
+    done: Any
+    metrics: dict[str, Any]
+
+
+@pytest.mark.parametrize("act", [None, lambda obs: 0.0 * obs + 2.0])
+def test_steps_are_a_policys_where_there_is_one_and_random_otherwise(act):
+    zero = jnp.zeros(3)
+    state = Flat(jnp.zeros((3, 1)), zero, zero, {"nan": zero, "overflow": zero})
+    venv = SimpleNamespace(
+        num_envs=3,
+        action_size=1,
+        step=lambda state, action: state._replace(obs=action, reward=action[:, 0]),
+    )
+    end, totals = run_steps(venv, steps=4, act=act)(state, jax.random.PRNGKey(0), zero_totals())
+    if act:
+        assert totals["reward"] == 2.0 * 3 * 4
+    else:
+        assert np.unique(end.obs).size == 3 and np.abs(end.obs).max() <= 1.0
+    assert totals["nan"] == totals["overflow"] == totals["episodes"] == 0

@@ -15,7 +15,7 @@ from agym_jax.errors import UnknownNameError
 from train.configs import PPOConfig
 from train.errors import ConfigError
 from train.ppo import train
-from train.sweep import main, name_of, parse_grid, rank, sweep
+from train.sweep import main, name_of, parse_grid, rank, setting_of, sweep
 
 CONFIG = PPOConfig(
     num_env_steps=320 * 60, num_envs=16, num_mini_batch=4, policy_hidden=(16,), value_hidden=(16,),
@@ -50,6 +50,7 @@ def test_settings_of_a_grid():
     ]  # fmt: skip
     some = parse_grid(["lr=1,2,3,4", "gamma=0,1"], random=3, seed=5)
     assert len(some) == 3 and len({name_of(x) for x in some}) == 3
+    assert [setting_of(name_of(x)) for x in some] == some
     assert some == parse_grid(["lr=1,2,3,4", "gamma=0,1"], random=3, seed=5)
     with pytest.raises(UnknownNameError, match="ppo_epoch"):
         parse_grid(["ppo_epoch=2,4"])

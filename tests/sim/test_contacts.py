@@ -270,7 +270,7 @@ def test_warp_has_room_for_a_tool_and_an_arm_that_lie_on_the_bed():
         for kind, dim in zip(kinds, model.pair_dim, strict=True)
         if kind in ({"seat", "tool"}, {"seat", "human"})
     ]
-    assert max(on_bed) == 10  # rows of a contact that rolls and turns
+    assert max(on_bed) == 10  # rows of a contact with rolling friction
     rows = sum(on_bed) + int(model.jnt_limited.sum())
     assert WARP_ROWS_PER_ENV < rows <= warp_rows(model)
     assert warp_rows(build_scene(TASKS["Feeding"], ROBOTS["Sawyer"]).model) == WARP_ROWS_PER_ENV

@@ -2,6 +2,8 @@
 
 python -m benchmarks.nan --impl warp --num-envs 16384
 python -m benchmarks.nan --policy shipped --env-name FeedingJaco-v0
+
+An interrupt (Ctrl-C) ends the search; the result then is that of the steps made so far.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from agym_jax.flags import Count
 from benchmarks.keep import keep
 from benchmarks.rollout import CHUNK, first_state, make_batch, run_steps, zero_totals
 
-FORCES = ("force/on_human", "force/tool")
+FORCES = ("force/on_human", "force/tool", "force/peak_on_human")
 LOWEST, DECADES, PER_DECADE = 1e-3, 8, 400  # bins of 0.6 % from 1 mN on
 BINS = DECADES * PER_DECADE
 
@@ -89,15 +91,23 @@ def search(config: NanConfig) -> dict[str, Any]:
     chunks = math.ceil(config.num_steps / (CHUNK * config.num_envs))
     sums: dict[str, Any] = {}
     start = said = time.perf_counter()
-    for chunk in range(chunks):
-        state, totals = run(state, jax.random.fold_in(key, chunk), empty)
-        for name, value in jax.device_get(totals).items():
+    done = 0
+    while done < chunks:
+        try:
+            state, totals = run(state, jax.random.fold_in(key, done), empty)
+            totals = jax.device_get(totals)
+        except KeyboardInterrupt:
+            if not done:
+                raise
+            break
+        done += 1
+        for name, value in totals.items():
             new = np.asarray(value, np.int64 if np.issubdtype(value.dtype, np.integer) else None)
             old = sums.get(name, np.zeros_like(new))
             sums[name] = np.maximum(old, new) if name.endswith("/max") else old + new
         if time.perf_counter() - said > 10:
             said = time.perf_counter()
-            print(f"{(chunk + 1) / chunks:4.0%}  NaN {sums['nan']}", file=sys.stderr, flush=True)
+            print(f"{done / chunks:4.0%}  NaN {sums['nan']}", file=sys.stderr, flush=True)
     seconds = time.perf_counter() - start
     forces = {}
     for name in FORCES:
@@ -109,7 +119,7 @@ def search(config: NanConfig) -> dict[str, Any]:
         "impl": venv.impl,
         "num_envs": config.num_envs,
         "policy": config.policy,
-        "total_steps": chunks * CHUNK * config.num_envs,
+        "total_steps": done * CHUNK * config.num_envs,
         "seed": config.seed,
         "nan": int(sums["nan"]),
         "overflow": int(sums["overflow"]),

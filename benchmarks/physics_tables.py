@@ -20,9 +20,15 @@ def nan(folder: Path = RESULTS) -> str:
         "NaN": lambda x: x["nan"],
         "force on the person, 99.99th percentile": lambda x: f"{x['force/on_human/p99.99']:.1f} N",
         "maximum": lambda x: f"{x['force/on_human/max']:.1f} N",
+        "largest peak on a region": _peak,
     }
     lines = read_results("nan", ("env", "impl", "policy"), folder)
     return table(lines, columns, lambda x: (x["env"], x["impl"], _actions(x)))
+
+
+def _peak(line: Line) -> str:
+    peak = line.get("force/peak_on_human/max")
+    return "" if peak is None else f"{peak:.1f} N"
 
 
 def _actions(line: Line) -> str:

@@ -136,6 +136,7 @@ def kernel(
         [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in starts],
         (SCRATCH_ROWS, columns),
         num_warps=warps,
+        name="particles",
         interpret=interpret,
     )
     return state.read(made)

@@ -19,6 +19,8 @@ COMFORT_KEY, LIMIT_KEY = "force/of_comfort", "force/of_limit"
 EPISODE_TOTALS = ("episodes", "return", "return_squared", "success", "force", "length")
 GENTLE_TOTALS = ("episode/gentle", "episode/peak", "step/force/over_comfort")
 """Of environments that measure ``COMFORT_KEY``."""
+ENV_STEP = "env_step"
+"""Scope of the environment's step, in the names of operations (``benchmarks.training_profile``)."""
 Totals = dict[str, jax.Array]
 Record = Callable[..., tuple[Any, Totals, Any]]
 
@@ -270,7 +272,8 @@ def collect(
 
     def move(env_state: Any, key: jax.Array) -> tuple[Any, tuple]:
         action, raw, log_prob = act(env_state.obs, key)
-        after = venv.step(env_state, action)
+        with jax.named_scope(ENV_STEP):
+            after = venv.step(env_state, action)
         return strong(after), (raw, log_prob, Observed.of(after))
 
     def step(carry: tuple[RolloutState, Totals], key: jax.Array) -> tuple[tuple, Batch]:

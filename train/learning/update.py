@@ -30,6 +30,8 @@ from .rollout import (
 )
 from .seeds import SideBySide
 
+LEARN = "learn"
+"""Scope of what the agents learn from a rollout, in the names of operations (``benchmarks.training_profile``)."""
 Run = Callable[..., tuple[LearnerState, RolloutState, Totals]]
 
 
@@ -79,7 +81,9 @@ def make_updates(
             )
             last = critic_obs(rollout.env_state)
             more = () if axis is None else (axis,)
-            learner, losses = learn(replace(learner, key=key), batch, last, key_learn, hyper, *more)
+            learner = replace(learner, key=key)
+            with jax.named_scope(LEARN):
+                learner, losses = learn(learner, batch, last, key_learn, hyper, *more)
             if axis is not None:
                 sums = jax.lax.psum(sums, axis)
             sums |= {f"loss/{name}": value for name, value in losses.items()}

@@ -1,0 +1,220 @@
+"""What bounds training on a GPU: where the time of an update goes, from a trace of JAX's profiler.
+
+python -m benchmarks.training_profile --env-name ReachingJaco-v0 --num-seeds 8
+
+Needs an NVIDIA GPU. Kernels of MuJoCo Warp and of food, water and cloth are known by their names, the others by the
+scope of the operation after which XLA named them; a kernel that is none of these counts as "other".
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import statistics
+import sys
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from agym_jax.flags import Count
+from benchmarks.keep import keep
+
+PARTS = ("rigid bodies", "matter", "rest of the step", "learning", "other")
+"""Of the time of an update; what remains is "idle", in which the GPU waits for its next kernel."""
+WARP = "cuda_kernel_forward"  # is in the names of Warp's kernels
+MATTER = ("cloth", "particles")  # are in the names of our own kernels
+AFTER = 6
+"""Updates before the one that is traced; the first does not count."""
+LARGEST = 15
+"""Kernels that the result names."""
+INSTRUCTION = re.compile(r"%?([\w.\-]+) = .*?op_name=\"([^\"]*)\"")
+
+
+@dataclass(frozen=True)
+class TrainingProfileConfig:
+    """Flags of ``python -m benchmarks.training_profile``."""
+
+    env_name: str = "ReachingJaco-v0"
+    """Environment id."""
+    num_envs: Count = 1024
+    """Environments of each seed."""
+    num_seeds: Count = 8
+    """Seeds that learn side by side."""
+    impl: str = "auto"
+    """Physics: "jax", "warp", "auto"."""
+    json: Path | None = None
+    """File to which the result is added as a JSON line."""
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """One run of a kernel on the GPU."""
+
+    name: str
+    start: float  # [ns]
+    duration: float  # [ns]
+
+
+class Tracing:
+    """Progress that traces one update of a training (see ``train.runs.progress.Progress``)."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._rows = folder, 0
+
+    def start(self, done: int, total: int) -> None:
+        """Nothing."""
+
+    def say(self, text: str) -> None:
+        """Print a message."""
+        print(text, file=sys.stderr, flush=True)
+
+    def update(self, row: Mapping[str, Any]) -> None:
+        """Begin the trace after some updates, and end it after one more."""
+        import jax
+
+        self.say(f"{row['env_steps']:,} steps  {row['steps_per_second']:,.0f} steps/s")
+        self._rows += 1
+        if self._rows == AFTER:
+            jax.profiler.start_trace(self._folder)
+        elif self._rows == AFTER + 1:
+            jax.profiler.stop_trace()
+
+    def stop(self) -> None:
+        """Nothing."""
+
+
+def scopes(text: str) -> dict[str, str]:
+    """Names of a compiled program's instructions, after which its kernels are called -> scopes of their operations."""
+    return {re.sub(r"[.\-]", "_", name): scope for name, scope in INSTRUCTION.findall(text)}
+
+
+def part_of(kernel: str, scope_of: Mapping[str, str]) -> str:
+    """The part of an update that a kernel belongs to, one of ``PARTS``."""
+    from train.learning.rollout import ENV_STEP
+    from train.learning.update import LEARN
+
+    if WARP in kernel:
+        return "rigid bodies"
+    if any(name in kernel for name in MATTER):
+        return "matter"
+    scope = scope_of.get(kernel, "").split("/")
+    return "learning" if LEARN in scope else "rest of the step" if ENV_STEP in scope else "other"
+
+
+def busy(kernels: Sequence[Kernel]) -> float:
+    """Time in which at least one kernel runs [ns]."""
+    total, until = 0.0, float("-inf")
+    for kernel in sorted(kernels, key=lambda k: k.start):
+        end = kernel.start + kernel.duration
+        total += max(0.0, end - max(until, kernel.start))
+        until = max(until, end)
+    return total
+
+
+def summary(kernels: Sequence[Kernel], scope_of: Mapping[str, str]) -> dict[str, Any]:
+    """Shares of the traced time by part, and the kernels that take most of it.
+
+    Args:
+        kernels: of the trace; the time from the beginning of the first to the end of the last is 1.
+        scope_of: see ``scopes``.
+
+    Returns:
+        ``seconds``; ``kernels``, how many ran; ``share/*`` of ``PARTS`` and "idle", which add up to 1 (where kernels overlap,
+        their parts share the time in proportion); ``largest``: [name, part, share, runs].
+    """
+    window = max(k.start + k.duration for k in kernels) - min(k.start for k in kernels)
+    spent: defaultdict[str, float] = defaultdict(float)
+    runs = Counter(k.name for k in kernels)
+    for kernel in kernels:
+        spent[kernel.name] += kernel.duration
+    covered = busy(kernels)
+    scale = covered / sum(spent.values()) / window
+    parts = dict.fromkeys(PARTS, 0.0)
+    for name, time in spent.items():
+        parts[part_of(name, scope_of)] += time * scale
+    return {
+        "seconds": round(window / 1e9, 4),
+        "kernels": len(kernels),
+        **{f"share/{name}": round(share, 4) for name, share in parts.items()},
+        "share/idle": round(1 - covered / window, 4),
+        "largest": [
+            [name[:80], part_of(name, scope_of), round(time * scale, 4), runs[name]]
+            for name, time in sorted(spent.items(), key=lambda item: -item[1])[:LARGEST]
+        ],
+    }
+
+
+def read_kernels(folder: Path) -> list[Kernel]:
+    """All that ran on the streams of GPUs, from a trace of ``jax.profiler``."""
+    from jax.profiler import ProfileData
+
+    (path,) = folder.rglob("*.xplane.pb")
+    lines = [
+        line
+        for plane in ProfileData.from_file(str(path)).planes
+        if plane.name.startswith("/device:GPU")
+        for line in plane.lines
+        if line.name.startswith("Stream")
+    ]
+    return [Kernel(e.name, e.start_ns, e.duration_ns) for line in lines for e in line.events]
+
+
+def measure(config: TrainingProfileConfig) -> dict[str, Any]:
+    """Train for a few updates; returns the fields of the result line.
+
+    Raises:
+        AgymError: there is no such environment, or no GPU.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        # texts of the compiled programs say which operation a kernel belongs to; a cached program has none
+        flags = f"--xla_dump_to={folder / 'hlo'} --xla_dump_hlo_as_text"
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags}"
+        import jax
+
+        from agym_jax.errors import ImplementationError
+        from train import ppo
+        from train.configs import PPOConfig, config_for
+        from train.envs import make_env
+
+        if jax.default_backend() != "gpu":
+            raise ImplementationError("benchmarks.training_profile needs an NVIDIA GPU.")
+        jax.config.update("jax_enable_compilation_cache", False)
+        env = make_env(config.env_name, config.impl)
+        settings = config_for(env.name, PPOConfig, "gpu")
+        per_call = config.num_envs * settings.num_steps
+        settings = replace(
+            settings, num_envs=config.num_envs, num_seeds=config.num_seeds, log_interval=1, save_dir=None,
+            num_env_steps=(AFTER + 2) * per_call,
+        )  # fmt: skip
+        result = ppo.train(env, settings, Tracing(folder / "trace"))
+        programs = folder.rglob("*after_optimizations.txt")
+        training = max(programs, key=lambda file: file.stat().st_size)
+        fields = summary(read_kernels(folder / "trace"), scopes(training.read_text()))
+    speeds = [row["steps_per_second"] for row in result.curve[1:AFTER]]
+    return {
+        "env": env.name,
+        "impl": env.impl,
+        "num_envs": config.num_envs,
+        "num_seeds": config.num_seeds,
+        "steps": per_call * config.num_seeds,
+        "steps_per_s": round(statistics.median(speeds)),  # before the trace
+        **fields,
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit status."""
+    config = tyro.cli(
+        TrainingProfileConfig, prog="python -m benchmarks.training_profile", args=arguments
+    )
+    return 2 if keep("training-profile", lambda: measure(config), config.json) is None else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

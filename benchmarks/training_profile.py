@@ -102,7 +102,7 @@ def part_of(kernel: str, scope_of: Mapping[str, str]) -> str:
         return "rigid bodies"
     if any(name in kernel for name in MATTER):
         return "matter"
-    scope = scope_of.get(kernel, "").split("/")
+    scope = scope_of.get(re.sub(r"[.\-]", "_", kernel), "").split("/")
     return "learning" if LEARN in scope else "rest of the step" if ENV_STEP in scope else "other"
 
 

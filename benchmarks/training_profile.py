@@ -3,7 +3,8 @@
 python -m benchmarks.training_profile --env-name ReachingJaco-v0 --num-seeds 8
 
 Needs an NVIDIA GPU. Kernels of MuJoCo Warp and of food, water and cloth are known by their names, the others by the
-scope of the operation after which XLA named them; a kernel that is none of these counts as "other".
+scope of their operation; a kernel for which there is none counts as most of those that were launched together with it,
+or as "other". Tracing slows the update down, so that the GPU idles more than it does otherwise.
 """
 
 from __future__ import annotations
@@ -24,9 +25,10 @@ import tyro
 from agym_jax.flags import Count
 from benchmarks.keep import keep
 
-PARTS = ("rigid bodies", "matter", "rest of the step", "learning", "other")
+PARTS = ("rigid bodies", "matter", "rest of the step", "acting", "learning", "other")
 """Of the time of an update; what remains is "idle", in which the GPU waits for its next kernel."""
 WARP = "cuda_kernel_forward"  # is in the names of Warp's kernels
+FFI = "/ffi_call"  # ends the scopes of what Warp has done by others
 MATTER = ("cloth", "particles")  # are in the names of our own kernels
 AFTER = 6
 """Updates before the one that is traced; the first does not count."""
@@ -58,6 +60,8 @@ class Kernel:
     name: str
     start: float  # [ns]
     duration: float  # [ns]
+    scope: str = ""  # of its operation, if the trace knows it
+    group: str = ""  # of kernels that were launched together
 
 
 class Tracing:
@@ -93,17 +97,32 @@ def scopes(text: str) -> dict[str, str]:
     return {re.sub(r"[.\-]", "_", name): scope for name, scope in INSTRUCTION.findall(text)}
 
 
-def part_of(kernel: str, scope_of: Mapping[str, str]) -> str:
-    """The part of an update that a kernel belongs to, one of ``PARTS``."""
-    from train.learning.rollout import ENV_STEP
+def part_of(kernel: Kernel, scope_of: Mapping[str, str]) -> str | None:
+    """The part of an update that a kernel belongs to, one of ``PARTS``; None if neither name nor scope says."""
+    from train.learning.rollout import ACT, ENV_STEP
     from train.learning.update import LEARN
 
-    if WARP in kernel:
+    scope = kernel.scope or scope_of.get(re.sub(r"[.\-]", "_", kernel.name), "")
+    if WARP in kernel.name or scope.endswith(FFI):
         return "rigid bodies"
-    if any(name in kernel for name in MATTER):
+    if any(name in kernel.name for name in MATTER):
         return "matter"
-    scope = scope_of.get(re.sub(r"[.\-]", "_", kernel), "").split("/")
-    return "learning" if LEARN in scope else "rest of the step" if ENV_STEP in scope else "other"
+    within = scope.split("/")
+    named = {LEARN: "learning", ACT: "acting", ENV_STEP: "rest of the step"}
+    return next((part for name, part in named.items() if name in within), None)
+
+
+def parts_of(kernels: Sequence[Kernel], scope_of: Mapping[str, str]) -> list[str]:
+    """The part of each kernel. One that does not say counts as most of its group does, by time; else as "other"."""
+    known = [part_of(kernel, scope_of) for kernel in kernels]
+    spent: dict[str, Counter[str]] = defaultdict(Counter)
+    for kernel, part in zip(kernels, known, strict=True):
+        if part:
+            spent[kernel.group][part] += round(kernel.duration)
+    most = {group: counts.most_common(1)[0][0] for group, counts in spent.items() if group}
+    return [
+        part or most.get(kernel.group, "other") for kernel, part in zip(kernels, known, strict=True)
+    ]
 
 
 def busy(kernels: Sequence[Kernel]) -> float:
@@ -128,24 +147,22 @@ def summary(kernels: Sequence[Kernel], scope_of: Mapping[str, str]) -> dict[str,
         their parts share the time in proportion); ``largest``: [name, part, share, runs].
     """
     window = max(k.start + k.duration for k in kernels) - min(k.start for k in kernels)
-    spent: defaultdict[str, float] = defaultdict(float)
-    runs = Counter(k.name for k in kernels)
-    for kernel in kernels:
-        spent[kernel.name] += kernel.duration
     covered = busy(kernels)
-    scale = covered / sum(spent.values()) / window
-    parts = dict.fromkeys(PARTS, 0.0)
-    for name, time in spent.items():
-        parts[part_of(name, scope_of)] += time * scale
+    scale = covered / sum(k.duration for k in kernels) / window
+    shares = dict.fromkeys(PARTS, 0.0)
+    spent: dict[tuple[str, str], float] = defaultdict(float)
+    runs: Counter[tuple[str, str]] = Counter()
+    for kernel, part in zip(kernels, parts_of(kernels, scope_of), strict=True):
+        shares[part] += kernel.duration * scale
+        spent[kernel.name, part] += kernel.duration * scale
+        runs[kernel.name, part] += 1
+    largest = sorted(spent, key=lambda x: -spent[x])[:LARGEST]
     return {
         "seconds": round(window / 1e9, 4),
         "kernels": len(kernels),
-        **{f"share/{name}": round(share, 4) for name, share in parts.items()},
+        **{f"share/{name}": round(share, 4) for name, share in shares.items()},
         "share/idle": round(1 - covered / window, 4),
-        "largest": [
-            [name[:80], part_of(name, scope_of), round(time * scale, 4), runs[name]]
-            for name, time in sorted(spent.items(), key=lambda item: -item[1])[:LARGEST]
-        ],
+        "largest": [[x[0][:80], x[1], round(spent[x], 4), runs[x]] for x in largest],
     }
 
 
@@ -161,7 +178,12 @@ def read_kernels(folder: Path) -> list[Kernel]:
         for line in plane.lines
         if line.name.startswith("Stream")
     ]
-    return [Kernel(e.name, e.start_ns, e.duration_ns) for line in lines for e in line.events]
+    kernels = []
+    for event in (event for line in lines for event in line.events):
+        about = dict(event.stats)
+        scope, group = (str(about.get(name, "")) for name in ("name", "hlo_op"))
+        kernels.append(Kernel(event.name, event.start_ns, event.duration_ns, scope, group))
+    return kernels
 
 
 def measure(config: TrainingProfileConfig) -> dict[str, Any]:

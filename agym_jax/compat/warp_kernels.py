@@ -13,7 +13,7 @@ import contextlib
 import math
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -30,7 +30,9 @@ _pending: list[Future[Any]] = []
 _in_background = False
 
 
-def compile_kernels(model: mujoco.MjModel, rows: int, contacts: int, warn_overflow: int) -> None:
+def compile_kernels(
+    model: mujoco.MjModel, rows: int, contacts: int, options: Mapping[str, int]
+) -> None:
     """Begin to compile and load what stepping a model takes on JAX's first device.
 
     ``wait_for_kernels`` says when it is done. Where the repair is switched off, Warp compiles each kernel when it
@@ -40,7 +42,7 @@ def compile_kernels(model: mujoco.MjModel, rows: int, contacts: int, warn_overfl
         model: with the solver's limits as they will be.
         rows: of constraints, for each environment.
         contacts: for each environment.
-        warn_overflow: as in MuJoCo Warp's options.
+        options: of MuJoCo Warp, by name, that are not its defaults.
     """
     if not applies("warp_kernels", "warp-lang", "1.12", "2.0"):
         return
@@ -48,7 +50,7 @@ def compile_kernels(model: mujoco.MjModel, rows: int, contacts: int, warn_overfl
 
     device = warp.device_from_jax(jax.local_devices()[0])
     with warp.ScopedDevice(device):
-        builds = launched(model, rows, contacts, warn_overflow)
+        builds = launched(model, rows, contacts, options)
     pool = ThreadPoolExecutor(os.cpu_count())
     _pending.extend(pool.submit(module.load, device, block) for module, block in builds)
     pool.shutdown(wait=False)
@@ -73,7 +75,7 @@ def kernels_in_background() -> Iterator[None]:
 
 
 def launched(
-    model: mujoco.MjModel, rows: int, contacts: int, warn_overflow: int
+    model: mujoco.MjModel, rows: int, contacts: int, options: Mapping[str, int]
 ) -> dict[Build, None]:
     """What a step of MuJoCo Warp would launch on Warp's current device, in order. See ``compile_kernels``."""
     from mujoco.mjx.third_party import mujoco_warp
@@ -81,7 +83,8 @@ def launched(
     builds: dict[Build, None] = {}
     with _noting(builds):
         put = mujoco_warp.put_model(model)
-        put.opt.warn_overflow = warn_overflow
+        for name, value in options.items():
+            setattr(put.opt, name, value)
         mujoco_warp.step(put, mujoco_warp.make_data(model, 1, naconmax=contacts, njmax=rows))
     return builds
 

@@ -204,10 +204,13 @@ def put_model(model: mujoco.MjModel, impl: str) -> Any:
         return mjx.put_model(model, impl=impl)
     model.opt.iterations, model.opt.ls_iterations = WARP_ITERATIONS, WARP_LS_ITERATIONS
     hold_streams()
-    compile_kernels(model, warp_rows(model), WARP_CONTACTS_PER_ENV, WARP_LOST)
+    from agym_jax.compat import warp_sensors  # imports Warp
+
+    options = {"warn_overflow": WARP_LOST}  # no print for iteration limits
+    options |= warp_sensors.options(model)
+    compile_kernels(model, warp_rows(model), WARP_CONTACTS_PER_ENV, options)
     put = mjx.put_model(model, impl=impl)
-    option = put.opt._impl.replace(warn_overflow=WARP_LOST)  # no print for iteration limits
-    return put.replace(opt=put.opt.replace(_impl=option))
+    return put.replace(opt=put.opt.replace(_impl=put.opt._impl.replace(**options)))
 
 
 def place_static_geoms(static: np.ndarray, model: mjx.Model, data: mjx.Data) -> mjx.Data:

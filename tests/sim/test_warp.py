@@ -132,18 +132,23 @@ def warp_model():
     """A scene's model with the limits that our physics sets, and MuJoCo Warp's of it."""
     from mujoco.mjx.third_party import mujoco_warp
 
+    from agym_jax.compat import warp_sensors
+
     model = agym_jax.make("ReachingSawyer-v0", impl="jax").scene.model
-    return model, mujoco_warp.put_model(model)
+    put = mujoco_warp.put_model(model)
+    options = {"warn_overflow": put.opt.warn_overflow} | warp_sensors.options(model)
+    put.opt.contact_sensor_maxmatch = options["contact_sensor_maxmatch"]
+    return model, put, options
 
 
 def test_a_step_compiles_nothing_that_was_not_foreseen(warp_model):
     import warp
     from mujoco.mjx.third_party import mujoco_warp
 
-    model, put = warp_model
-    foreseen = warp_kernels.launched(model, *LIMITS, put.opt.warn_overflow)
+    model, put, options = warp_model
+    foreseen = warp_kernels.launched(model, *LIMITS, options)
     assert len(foreseen) > 20
-    warp_kernels.compile_kernels(model, *LIMITS, put.opt.warn_overflow)
+    warp_kernels.compile_kernels(model, *LIMITS, options)
     warp_kernels.wait_for_kernels()
     assert all(module.execs for module, _ in foreseen)
     data = mujoco_warp.make_data(model, 2, naconmax=2 * LIMITS[1], njmax=LIMITS[0])

@@ -19,8 +19,8 @@ COMFORT_KEY, LIMIT_KEY = "force/of_comfort", "force/of_limit"
 EPISODE_TOTALS = ("episodes", "return", "return_squared", "success", "force", "length")
 GENTLE_TOTALS = ("episode/gentle", "episode/peak", "step/force/over_comfort")
 """Of environments that measure ``COMFORT_KEY``."""
-ENV_STEP = "env_step"
-"""Scope of the environment's step, in the names of operations (``benchmarks.training_profile``)."""
+ACT, ENV_STEP = "act", "env_step"
+"""Scopes of the policy and of the environment's step, in the names of operations (``benchmarks.training_profile``)."""
 Totals = dict[str, jax.Array]
 Record = Callable[..., tuple[Any, Totals, Any]]
 
@@ -271,7 +271,8 @@ def collect(
     """
 
     def move(env_state: Any, key: jax.Array) -> tuple[Any, tuple]:
-        action, raw, log_prob = act(env_state.obs, key)
+        with jax.named_scope(ACT):
+            action, raw, log_prob = act(env_state.obs, key)
         with jax.named_scope(ENV_STEP):
             after = venv.step(env_state, action)
         return strong(after), (raw, log_prob, Observed.of(after))

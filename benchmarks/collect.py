@@ -5,7 +5,7 @@ RUNS are folders that ``agym-jax suite`` had as ``--save-dir``. Of each run whos
 over other people are kept. The chosen policy replaces the one that ships where it succeeds more often, over the same people in
 the same physics if ``select`` measured both; where none ships, from ``--least`` on. Of runs under a cost limit, gentle successes
 count, as long as at most 5 of 100 successes are lost; choice and limit are in ``results/gentle.jsonl``.
-Of runs that began with a policy (``--robot-policy``), the choice is in ``results/continued.jsonl``. What training both
+Of runs that began with a policy (``--robot-policy``; of pairs, ``--human-policy`` too), the choice is in ``results/continued.jsonl``. What training both
 of these were is in ``results/continued_training.jsonl``. Then the tables and the picture of the curves are made anew.
 Collecting the same runs again changes nothing.
 """
@@ -86,8 +86,11 @@ class Found:
 
     @property
     def continued(self) -> bool:
-        """Whether it went on with a robot's policy: what its seeds achieve says nothing of a training from nothing."""
-        return bool(self.training["started_from"]) and not parse(self.run.name).active
+        """Whether it went on with the policies of all who learn: what its seeds achieve says nothing of a training from nothing."""
+        begun = [self.training["started_from"]]
+        if parse(self.run.name).active:
+            begun.append(self.training["person_started_from"])
+        return all(begun)
 
 
 def find(config: CollectConfig) -> list[Found]:

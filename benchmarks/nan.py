@@ -9,9 +9,10 @@ An interrupt (Ctrl-C) ends the search; the result then is that of the steps made
 from __future__ import annotations
 
 import math
+import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -78,6 +79,23 @@ def add_forces(totals: dict[str, jax.Array], state: Any) -> dict[str, jax.Array]
     return out
 
 
+def interrupted() -> Callable[[], bool]:
+    """From now on, note the first interrupt; the function says whether there was one. The second is as usual.
+
+    An exception would not do: raised in a function that Warp has registered with XLA, it ends the process.
+    """
+    noted = False
+    before = signal.getsignal(signal.SIGINT)
+
+    def note(*_: object) -> None:
+        nonlocal noted
+        noted = True
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, note)
+    return lambda: noted
+
+
 def search(config: NanConfig) -> dict[str, Any]:
     """Run all steps; returns the fields of the result line."""
     key, key_reset = jax.random.split(jax.random.PRNGKey(config.seed))
@@ -91,15 +109,11 @@ def search(config: NanConfig) -> dict[str, Any]:
     chunks = math.ceil(config.num_steps / (CHUNK * config.num_envs))
     sums: dict[str, Any] = {}
     start = said = time.perf_counter()
+    stop = interrupted()
     done = 0
-    while done < chunks:
-        try:
-            state, totals = run(state, jax.random.fold_in(key, done), empty)
-            totals = jax.device_get(totals)
-        except KeyboardInterrupt:
-            if not done:
-                raise
-            break
+    while done < chunks and not (done and stop()):
+        state, totals = run(state, jax.random.fold_in(key, done), empty)
+        totals = jax.device_get(totals)
         done += 1
         for name, value in totals.items():
             new = np.asarray(value, np.int64 if np.issubdtype(value.dtype, np.integer) else None)

@@ -7,6 +7,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from benchmarks.markdown import RESULTS, Line, matrix, read_results, table
+from benchmarks.training_profile import PARTS
 
 BATCH: dict[str, Callable[[Line], str]] = {
     "environment": lambda x: x["env"],
@@ -96,6 +97,27 @@ def seed_speed(folder: Path = RESULTS) -> str:
         ),
     }
     return table(lines, columns, itemgetter(*keys))
+
+
+def profile(folder: Path = RESULTS) -> str:
+    """Where the time of training goes."""
+
+    def share(name: str) -> Callable[[Line], str]:
+        return lambda x: f"{x[f'share/{name}']:.0%}"
+
+    def idle(x: Line) -> str:
+        untraced = 1 - (1 - x["share/idle"]) * x["seconds"] * x["steps_per_s"] / x["steps"]
+        return f"{x['share/idle']:.0%} ({max(untraced, 0.0):.0%})"
+
+    columns = {
+        "environment": lambda x: x["env"],
+        "training steps/s": lambda x: f"{x['steps_per_s']:,}",
+        **{part: share(part) for part in PARTS},
+        "idle (without the trace)": idle,
+        "largest kernel": lambda x: f"`{x['largest'][0][0].split('__locals')[0]}`, {x['largest'][0][2]:.0%}",
+    }
+    lines = read_results("training_profile", ("env", "impl", "num_envs", "num_seeds"), folder)
+    return table(lines, columns, itemgetter("env"))
 
 
 def torch_overhead(folder: Path = RESULTS) -> str:

@@ -51,6 +51,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "together": policy_tables.together,
     "seeds": policy_tables.seeds,
     "training-speed": speed_tables.training_speed,
+    "training-profile": speed_tables.profile,
     "seed-speed": speed_tables.seed_speed,
     "brax-ppo": training_tables.brax_ppo,
     "resume": training_tables.resume,

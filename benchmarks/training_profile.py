@@ -30,6 +30,7 @@ PARTS = ("rigid bodies", "matter", "rest of the step", "acting", "learning", "ot
 WARP = "cuda_kernel_forward"  # is in the names of Warp's kernels
 FFI = "/ffi_call"  # ends the scopes of what Warp has done by others
 MATTER = ("cloth", "particles")  # are in the names of our own kernels
+ENOUGH = 0.1
 AFTER = 6
 """Updates before the one that is traced; the first does not count."""
 LARGEST = 15
@@ -113,15 +114,22 @@ def part_of(kernel: Kernel, scope_of: Mapping[str, str]) -> str | None:
 
 
 def parts_of(kernels: Sequence[Kernel], scope_of: Mapping[str, str]) -> list[str]:
-    """The part of each kernel. One that does not say counts as most of its group does, by time; else as "other"."""
+    """The part of each kernel.
+
+    One that does not say counts as most of its group does, by time, if ``ENOUGH`` of the group's time is known; else as "other".
+    """
     known = [part_of(kernel, scope_of) for kernel in kernels]
-    spent: dict[str, Counter[str]] = defaultdict(Counter)
+    spent: dict[str, Counter[str | None]] = defaultdict(Counter)
     for kernel, part in zip(kernels, known, strict=True):
-        if part:
-            spent[kernel.group][part] += round(kernel.duration)
-    most = {group: counts.most_common(1)[0][0] for group, counts in spent.items() if group}
+        spent[kernel.group][part] += round(kernel.duration)
+    most = {}
+    for group, times in spent.items():
+        total, _ = times.total(), times.pop(None, 0)
+        if group and times.total() > ENOUGH * total:
+            most[group] = times.most_common(1)[0][0]
     return [
-        part or most.get(kernel.group, "other") for kernel, part in zip(kernels, known, strict=True)
+        part or most.get(kernel.group) or "other"
+        for kernel, part in zip(kernels, known, strict=True)
     ]
 
 

@@ -2,8 +2,8 @@
 
 A contact sensor of MuJoCo Warp compares every contact with every sensor, lists the contacts that match (64 for each sensor
 of each environment), and sorts the lists, with a block of threads for each. Of the time in which a GPU was busy with training
-(8 x 1,024 environments, H100, ``benchmarks.training_profile``), this took 14 to 37 %: 37 % in DrinkingJaco, whose scene has 163 sensors. A
-sensor of two geoms that reports the deepest contact needs neither: each contact looks for its sensor and leaves its depth
+(8 x 1,024 environments, H100, ``benchmarks.training_profile``), this took 11 % in DressingJaco, whose scene has 76 sensors, and 35 % in DrinkingJaco, which
+has 163. A sensor of two geoms that reports the deepest contact needs neither: each contact looks for its sensor and leaves its depth
 there. Contacts are the same, and so is what is read. ``tests/compat/test_warp_sensors.py`` compares.
 
 Models whose contact sensors are others are read as before. Import this module only where Warp is used.

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import signal
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -81,6 +82,14 @@ def test_a_run_ends_as_its_last_episodes_did_and_a_failed_one_says_why(capsys):
     assert resume.end(rows) == {"return": 22.5, "success": 0.225}
     assert resume.main(["--env-name", "RechingJaco-v0", "--seeds", "1"]) == 2
     assert "ReachingJaco-v0" in capsys.readouterr().err
+
+
+def test_the_search_for_nan_notes_one_interrupt():
+    before = signal.getsignal(signal.SIGINT)
+    stop = nan.interrupted()
+    assert not stop()
+    signal.raise_signal(signal.SIGINT)
+    assert stop() and signal.getsignal(signal.SIGINT) is before
 
 
 def test_speed_of_training_counts_every_call_but_the_first(monkeypatch):

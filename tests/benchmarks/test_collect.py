@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -256,6 +257,20 @@ def test_the_results_of_this_repository_are_whole():
     for line in markdown.read_results("selection", ("env",)):
         assert line["commit"] and line["chosen_over"] != line["reported_over"]
     assert set(shipped.shipped()) <= shipped.recorded().keys()
+
+
+@pytest.mark.parametrize(
+    ("name", "robot", "person", "expected"),
+    [
+        (ALONE, None, None, False),
+        (ALONE, "shipped", None, True),
+        (PAIR, "shipped", None, False),  # the person was new
+        (PAIR, "shipped", "a.npz", True),
+    ],
+)
+def test_a_training_goes_on_if_nobody_who_learns_is_new(name, robot, person, expected):
+    about = {"started_from": robot, "person_started_from": person}
+    assert collecting.Found(Path(name), {}, about).continued is expected
 
 
 @pytest.mark.slow

@@ -89,7 +89,7 @@ def training_summary(run: Path) -> dict[str, Any] | None:
         ``num_envs, impl``, seconds of training (``train_seconds``, building excluded) and of the whole
         processes (``wall_seconds``, where a suite has kept them), when the interquartile mean of success first
         was ``ENOUGH`` (``steps_to_90, seconds_to_90``), the ``curve``, ``cost_limit``, ``cost_multiplier_max`` and ``cost_margin``,
-        ``started_from`` (policy of the robot, None if it was a new one), and commit, device, versions, time.
+        ``started_from`` and ``person_started_from`` (policies of robot and person, None if they were new), and commit, device, versions, time.
     """
     rows, path = read_rows(run / "curve.jsonl"), run / "config.json"
     if not rows:
@@ -115,6 +115,7 @@ def training_summary(run: Path) -> dict[str, Any] | None:
         "cost_multiplier_max": config.get("cost_multiplier_max"),
         "cost_margin": config.get("cost_margin", 0.0),
         "started_from": config.get("robot_policy"),
+        "person_started_from": config.get("human_policy"),
         **{name: about.get(name) for name in ("commit", "device", "versions", "time")},
     }
 

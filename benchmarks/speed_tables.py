@@ -114,7 +114,9 @@ def profile(folder: Path = RESULTS) -> str:
         "training steps/s": lambda x: f"{x['steps_per_s']:,}",
         **{part: share(part) for part in PARTS},
         "idle (without the trace)": idle,
-        "largest kernel": lambda x: f"`{x['largest'][0][0].split('__locals')[0]}`, {x['largest'][0][2]:.0%}",
+        "largest kernel": lambda x: (
+            f"`{x['largest'][0][0].split('__locals')[0]}`, {x['largest'][0][2]:.0%}"
+        ),
     }
     lines = read_results("training_profile", ("env", "impl", "num_envs", "num_seeds"), folder)
     return table(lines, columns, itemgetter("env"))

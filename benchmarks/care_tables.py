@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -80,6 +80,28 @@ def limits(folder: Path = RESULTS) -> str:
     people = ", ".join(str(x) for x in sorted({x["episodes"] for x in lines}))
     note = f"{people} episodes of each seed, mode;"
     return table(lines, columns, lambda x: (x["env"], -x["cost_limit"]), note)
+
+
+def rough(folder: Path = RESULTS) -> str:
+    """Whether robots hit or press where contact is rough."""
+
+    def newton(name: str) -> Callable[[Line], str]:
+        return lambda x: "" if x[name] is None else f"{x[name]:.0f} N"
+
+    columns = {
+        "environment": ORDER,
+        "success": lambda x: f"{x['success']:.0%}",
+        "gently": lambda x: f"{x['gentle']:.0%}",
+        "gently, but for first touches": lambda x: f"{x['gentle_but_first_touches']:.0%}",
+        "rough steps per episode": lambda x: f"{x['rough_steps']:.1f}",
+        "of which first touches": lambda x: f"{x['first_touch']:.0%}",
+        "median peak of these": newton("first_touch_n"),
+        "of the others": newton("pressing_n"),
+        "mean of the step within the limit": lambda x: f"{x['mean_below']:.0%}",
+    }
+    lines = read_results("rough", ("env",), folder)
+    episodes = ", ".join(str(x) for x in sorted({x["episodes"] for x in lines}))
+    return table(lines, columns, ORDER, f"{episodes} episodes, mode;")
 
 
 def _how_far(line: Line) -> str:

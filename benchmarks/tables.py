@@ -70,6 +70,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "in-assistive-gym": policy_tables.in_assistive_gym,
     "everybody": care_tables.everybody,
     "care": care_tables.care,
+    "rough": care_tables.rough,
 }
 
 

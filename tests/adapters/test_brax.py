@@ -299,30 +299,3 @@ def test_brax_sac_learns():
     )
     assert metrics["eval/episode_success"] > 0.9
     assert np.isfinite(metrics["training/critic_loss"])
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-def test_brax_sac_runs_on_an_environment(monkeypatch):
-    class NoEvaluator:  # whose program would be compiled for a minute; that of PPO runs in test_brax_page.py
-        def __init__(self, *arguments: Any, **options: Any) -> None:
-            pass
-
-        def run_evaluation(self, params: Any, training_metrics: dict) -> dict:
-            return training_metrics
-
-    monkeypatch.setattr(sac.acting, "Evaluator", NoEvaluator)
-    env = agym_jax.make("ReachingJaco-v0", impl="jax")
-    make_policy, params, metrics = sac.train(
-        env,
-        num_timesteps=64,
-        episode_length=env.episode_length,
-        wrap_env_fn=wrap_for_brax_training,
-        num_envs=4,
-        batch_size=16,
-        min_replay_size=16,
-    )
-    assert metrics["training/critic_loss"] > 0
-    assert all(np.isfinite(value) for value in metrics.values())
-    action, _ = make_policy(params)(jnp.zeros((1, env.observation_size)), jax.random.PRNGKey(0))
-    assert action.shape == (1, env.action_size)

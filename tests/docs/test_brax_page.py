@@ -21,7 +21,7 @@ PAGE = ROOT / "docs" / "brax.md"
 TEXT = PAGE.read_text()
 SIZES, TRAINING = re.findall(r"^```python\n(.*?)^```$", TEXT, re.S | re.M)
 SMALL = dict(
-    num_timesteps=1680, num_evals=1, num_eval_envs=4, num_envs=4, batch_size=2, num_minibatches=2
+    num_timesteps=880, num_evals=1, num_eval_envs=4, num_envs=4, batch_size=2, num_minibatches=2
 )
 STEPS = SMALL["num_timesteps"] // SMALL["num_envs"]
 
@@ -77,7 +77,7 @@ def test_the_example_trains_with_a_new_human_after_every_200_steps(monkeypatch, 
             episodes.setdefault(np.asarray(row).tobytes(), []).append(tuple(map(float, values)))
     whole = [(float(i), float(i == 200), float(i == 200)) for i in range(1, 201)]
     lengths = sorted(len(rows) for rows in episodes.values())
-    assert STEPS == 420 and lengths == [20] * 4 + [200] * 8
+    assert STEPS == 220 and lengths == [20] * 4 + [200] * 4
     assert all(sorted(rows) == whole[: len(rows)] for rows in episodes.values())
 
     metrics = names["metrics"]

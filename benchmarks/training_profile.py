@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import statistics
 import sys
 import tempfile
@@ -22,6 +23,7 @@ from typing import Any
 
 import tyro
 
+from agym_jax.errors import ImplementationError
 from agym_jax.flags import Count
 from benchmarks.keep import keep
 
@@ -200,6 +202,11 @@ def measure(config: TrainingProfileConfig) -> dict[str, Any]:
     Raises:
         AgymError: there is no such environment, or no GPU.
     """
+    missing = ImplementationError(
+        "benchmarks.training_profile needs an NVIDIA GPU, and JAX for it."
+    )
+    if not shutil.which("nvidia-smi"):
+        raise missing
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         # texts of the compiled programs say which operation a kernel belongs to; a cached program has none
@@ -207,13 +214,12 @@ def measure(config: TrainingProfileConfig) -> dict[str, Any]:
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags}"
         import jax
 
-        from agym_jax.errors import ImplementationError
         from train import ppo
         from train.configs import PPOConfig, config_for
         from train.envs import make_env
 
         if jax.default_backend() != "gpu":
-            raise ImplementationError("benchmarks.training_profile needs an NVIDIA GPU.")
+            raise missing
         jax.config.update("jax_enable_compilation_cache", False)
         env = make_env(config.env_name, config.impl)
         settings = config_for(env.name, PPOConfig, "gpu")

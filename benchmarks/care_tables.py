@@ -88,8 +88,10 @@ def rough(folder: Path = RESULTS) -> str:
     def newton(name: str) -> Callable[[Line], str]:
         return lambda x: "" if x[name] is None else f"{x[name]:.0f} N"
 
+    scale = itemgetter("action_scale")
     columns = {
         "environment": ORDER,
+        "actions": lambda x: f"{scale(x):.0%}",
         "success": lambda x: f"{x['success']:.0%}",
         "gently": lambda x: f"{x['gentle']:.0%}",
         "gently, but for first touches": lambda x: f"{x['gentle_but_first_touches']:.0%}",
@@ -99,9 +101,10 @@ def rough(folder: Path = RESULTS) -> str:
         "of the others": newton("pressing_n"),
         "mean of the step within the limit": lambda x: f"{x['mean_below']:.0%}",
     }
-    lines = read_results("rough", ("env",), folder)
+    lines = read_results("rough", ("env", "action_scale"), folder)
     episodes = ", ".join(str(x) for x in sorted({x["episodes"] for x in lines}))
-    return table(lines, columns, ORDER, f"{episodes} episodes, mode;")
+    by = lambda x: (x["env"], -scale(x))  # noqa: E731
+    return table(lines, columns, by, f"{episodes} episodes, mode;")
 
 
 def _how_far(line: Line) -> str:

@@ -2,6 +2,7 @@
 
     python -m benchmarks.rough BedBathingJaco-v0 ScratchItchSawyer-v0
     python -m benchmarks.rough
+    python -m benchmarks.rough BedBathingJaco-v0 --action-scale 0.5
 
 Runs the policies that ship on C MuJoCo. A control step is rough where the peak force on a region of the body is
 above its comfort limit. It is a *first touch* if nothing touched that region in the step before (0.1 s), otherwise the
@@ -40,6 +41,8 @@ class RoughConfig:
     """Environment ids."""
     num_episodes: Count = 128
     """Of each policy; 64 run at a time."""
+    action_scale: float = 1.0
+    """Factor on the policy's actions; below 1, the robot moves more slowly."""
     seed: int = 5001
     """Of the episodes."""
     json: Path | None = None
@@ -100,14 +103,17 @@ def measure(env_name: str, config: RoughConfig) -> dict[str, Any]:
     """
     env = agym_jax.make(env_name, impl="native")
     policy = agym_jax.load_policy(env_name, env)
-    seen: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    seen: list[tuple[np.ndarray, ...]] = []
 
     def watch(state: Any) -> None:
         forces = (state.regions.peak, state.regions.mean, state.metrics["success"])
         seen.append(tuple(np.asarray(x) for x in forces))
 
+    def act(obs: Any, key: Any, deterministic: bool) -> Any:
+        return config.action_scale * policy(obs, key, deterministic)
+
     result = Evaluator(env, config.num_episodes, AT_ONCE)(
-        policy, jax.random.PRNGKey(config.seed), watch=watch
+        act, jax.random.PRNGKey(config.seed), watch=watch
     )
     steps = (
         env.episode_length + 1
@@ -123,6 +129,7 @@ def measure(env_name: str, config: RoughConfig) -> dict[str, Any]:
         "impl": env.impl,
         "episodes": peak.shape[1],
         "seed": config.seed,
+        "action_scale": config.action_scale,
         "success": float(np.mean(result.successes)),
         **found,
     }

@@ -13,7 +13,7 @@ drawn: its cuff is 27 to 35 cm before the tip (10th and 90th percentile of 24 st
 is set so that hands which move at once, or high above the arm, miss the sleeve, as their replayed paths do in AG.
 DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor, not the robot. Limbs are capsules. AG's cloth
 knows them by their distance on a grid of 0.25 m, linear in between, so that it meets an arm that tapers: at its ends, the
-forearm's own axis is 29 to 35 mm outside. There it rests at 37 to 40 mm and is pressed to 22 to 30 mm over the hand. In three of four episodes there
+forearm's own axis is 29 to 35 mm outside, and so it ends 6 (men) and 7 cm (women) before the elbow. There it rests at 37 to 40 mm and is pressed to 22 to 30 mm over the hand. In three of four episodes there
 that were looked at, a sleeve pulled from 0.3 m above left the arm 3 to 6 cm before the elbow, through the arm; replayed here, it passes the elbow in 8 of 9.
 DEVIATION(dressing-limits): the joint limits of the person's arm hold here as in every task.
 """

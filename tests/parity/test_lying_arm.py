@@ -10,6 +10,7 @@ from benchmarks.parity import lying_arm
 from benchmarks.parity.row import traces
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_the_bed_does_not_hold_an_arm_that_is_lifted():
     assert_rows_hold_or_name_a_deviation(lying_arm.rows())

@@ -255,6 +255,7 @@ def test_every_robot_has_a_start_for_it():
         assert robot.fixed_base(TASK) is not None or "Dressing" in robot.searches
 
 
+@pytest.mark.slow
 def test_pulls_dress_people_of_all_sizes_and_no_limb_passes_through():
     pulls = jax.vmap(draw_pull)(jax.random.split(jax.random.PRNGKey(0), 4))
     pulls = replace(pulls, speed=jnp.full(4, 0.3))

@@ -178,6 +178,7 @@ def test_a_scripted_spoon_feeds_all_there_is():
     assert float(env_of("FeedingSawyer-v0").task.success(state.task)) == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_a_scripted_cup_pours_nine_tenths_into_the_mouth():
     env = env_of("DrinkingBaxter-v0")

@@ -11,7 +11,7 @@ import numpy as np
 
 from agym_jax.registry import parse
 from benchmarks.limit_curves import limit_in_words, lines_of
-from benchmarks.markdown import RESULTS, Line, read_results, table
+from benchmarks.markdown import RESULTS, Line, percent, read_results, table
 from train.evaluation.outcome import in_words
 from train.evaluation.people import LEAST
 from train.evaluation.statistics import iqm
@@ -92,14 +92,14 @@ def rough(folder: Path = RESULTS) -> str:
     columns = {
         "environment": ORDER,
         "actions": lambda x: f"{scale(x):.0%}",
-        "success": lambda x: f"{x['success']:.0%}",
-        "gently": lambda x: f"{x['gentle']:.0%}",
-        "gently, but for first touches": lambda x: f"{x['gentle_but_first_touches']:.0%}",
+        "success": percent("success"),
+        "gently": percent("gentle"),
+        "gently, but for first touches": percent("gentle_but_first_touches"),
         "rough steps per episode": lambda x: f"{x['rough_steps']:.1f}",
-        "of which first touches": lambda x: f"{x['first_touch']:.0%}",
+        "of which first touches": percent("first_touch"),
         "median peak of these": newton("first_touch_n"),
         "of the others": newton("pressing_n"),
-        "mean of the step within the limit": lambda x: f"{x['mean_below']:.0%}",
+        "mean of the step within the limit": percent("mean_below"),
     }
     lines = read_results("rough", ("env", "action_scale"), folder)
     episodes = ", ".join(str(x) for x in sorted({x["episodes"] for x in lines}))

@@ -113,6 +113,11 @@ def mark(lines: Sequence[Line]) -> Callable[[Line], str]:
     return lambda line: f" {EARLIER}" if mixed and is_earlier(line) else ""
 
 
+def percent(field: str) -> Callable[[Line], str]:
+    """A column that shows a share as whole percent."""
+    return lambda line: f"{line[field]:.0%}"
+
+
 def table(
     lines: Sequence[Line],
     columns: Mapping[str, Callable[[Line], Any]],

@@ -12,7 +12,8 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -79,8 +80,9 @@ def add_forces(totals: dict[str, jax.Array], state: Any) -> dict[str, jax.Array]
     return out
 
 
-def interrupted() -> Callable[[], bool]:
-    """From now on, note the first interrupt; the function says whether there was one. The second is as usual.
+@contextmanager
+def noted_interrupt() -> Iterator[Callable[[], bool]]:
+    """Note the first interrupt; what is yielded says whether there was one. The second is as usual.
 
     An exception would not do: raised in a function that Warp has registered with XLA, it ends the process.
     """
@@ -93,7 +95,10 @@ def interrupted() -> Callable[[], bool]:
         signal.signal(signal.SIGINT, before)
 
     signal.signal(signal.SIGINT, note)
-    return lambda: noted
+    try:
+        yield lambda: noted
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def search(config: NanConfig) -> dict[str, Any]:
@@ -109,19 +114,21 @@ def search(config: NanConfig) -> dict[str, Any]:
     chunks = math.ceil(config.num_steps / (CHUNK * config.num_envs))
     sums: dict[str, Any] = {}
     start = said = time.perf_counter()
-    stop = interrupted()
     done = 0
-    while done < chunks and not (done and stop()):
-        state, totals = run(state, jax.random.fold_in(key, done), empty)
-        totals = jax.device_get(totals)
-        done += 1
-        for name, value in totals.items():
-            new = np.asarray(value, np.int64 if np.issubdtype(value.dtype, np.integer) else None)
-            old = sums.get(name, np.zeros_like(new))
-            sums[name] = np.maximum(old, new) if name.endswith("/max") else old + new
-        if time.perf_counter() - said > 10:
-            said = time.perf_counter()
-            print(f"{done / chunks:4.0%}  NaN {sums['nan']}", file=sys.stderr, flush=True)
+    with noted_interrupt() as stop:
+        while done < chunks and not (done and stop()):
+            state, totals = run(state, jax.random.fold_in(key, done), empty)
+            totals = jax.device_get(totals)
+            done += 1
+            for name, value in totals.items():
+                new = np.asarray(
+                    value, np.int64 if np.issubdtype(value.dtype, np.integer) else None
+                )
+                old = sums.get(name, np.zeros_like(new))
+                sums[name] = np.maximum(old, new) if name.endswith("/max") else old + new
+            if time.perf_counter() - said > 10:
+                said = time.perf_counter()
+                print(f"{done / chunks:4.0%}  NaN {sums['nan']}", file=sys.stderr, flush=True)
     seconds = time.perf_counter() - start
     forces = {}
     for name in FORCES:

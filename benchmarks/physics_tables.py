@@ -5,7 +5,7 @@ from __future__ import annotations
 from operator import itemgetter
 from pathlib import Path
 
-from benchmarks.markdown import RESULTS, Line, read_results, table
+from benchmarks.markdown import RESULTS, Line, percent, read_results, table
 
 ORDER = itemgetter("env")
 
@@ -39,10 +39,8 @@ def reach(folder: Path = RESULTS) -> str:
     """How many itches a robot can touch at all."""
     columns = {
         "environment": ORDER,
-        "reachable itches": lambda x: f"{x['reachable']:.0%}",
-        "reachable itches on the quarter of the limb facing the trunk": lambda x: (
-            f"{x['reachable_inner']:.0%}"
-        ),
+        "reachable itches": percent("reachable"),
+        "reachable itches on the quarter of the limb facing the trunk": percent("reachable_inner"),
     }
     return table([x for x in _reach(folder) if "reachable_inner" in x], columns, ORDER)
 
@@ -52,9 +50,9 @@ def reach_mouth(folder: Path = RESULTS) -> str:
     columns = {
         "environment": ORDER,
         "mouths": lambda x: f"{x['targets']:,}",
-        "reachable": lambda x: f"{x['reachable']:.0%}",
-        "of men": lambda x: f"{x['reachable_men']:.0%}",
-        "of women": lambda x: f"{x['reachable_women']:.0%}",
+        "reachable": percent("reachable"),
+        "of men": percent("reachable_men"),
+        "of women": percent("reachable_women"),
     }
     return table([x for x in _reach(folder) if "reachable_men" in x], columns, ORDER)
 
@@ -70,7 +68,7 @@ def inside(folder: Path = RESULTS) -> str:
     columns = {
         "environment": ORDER,
         "episodes": lambda x: x["episodes"],
-        "control steps with a part inside": lambda x: f"{x['share']:.0%}",
+        "control steps with a part inside": percent("share"),
         "deepest": worst,
     }
     return table([x for x in lines if x["parts"]], columns, ORDER)

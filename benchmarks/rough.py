@@ -6,7 +6,7 @@
 
 Runs the policies that ship on C MuJoCo. A control step is rough where the peak force on a region of the body is
 above its comfort limit. It is a *first touch* if nothing touched that region in the step before (0.1 s), otherwise the
-robot *presses*. Without ids: all robots' policies that are gentle in fewer than ``SELDOM`` of their successes.
+robot *presses*. The last step of an episode does not count, neither for forces nor for what is gentle. Without ids: all robots' policies that are gentle in fewer than ``SELDOM`` of their successes.
 """
 
 from __future__ import annotations

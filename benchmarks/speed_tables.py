@@ -6,7 +6,7 @@ from collections.abc import Callable
 from operator import itemgetter
 from pathlib import Path
 
-from benchmarks.markdown import RESULTS, Line, matrix, read_results, table
+from benchmarks.markdown import RESULTS, Line, matrix, percent, read_results, table
 from benchmarks.training_profile import PARTS
 
 BATCH: dict[str, Callable[[Line], str]] = {
@@ -102,9 +102,6 @@ def seed_speed(folder: Path = RESULTS) -> str:
 def profile(folder: Path = RESULTS) -> str:
     """Where the time of training goes."""
 
-    def share(name: str) -> Callable[[Line], str]:
-        return lambda x: f"{x[f'share/{name}']:.0%}"
-
     def idle(x: Line) -> str:
         untraced = 1 - (1 - x["share/idle"]) * x["seconds"] * x["steps_per_s"] / x["steps"]
         return f"{x['share/idle']:.0%} ({max(untraced, 0.0):.0%})"
@@ -112,7 +109,7 @@ def profile(folder: Path = RESULTS) -> str:
     columns = {
         "environment": lambda x: x["env"],
         "training steps/s": lambda x: f"{x['steps_per_s']:,}",
-        **{part: share(part) for part in PARTS},
+        **{part: percent(f"share/{part}") for part in PARTS},
         "idle (without the trace)": idle,
         "largest kernel": lambda x: (
             f"`{x['largest'][0][0].split('__locals')[0]}`, {x['largest'][0][2]:.0%}"

@@ -33,6 +33,7 @@ WARP = "cuda_kernel_forward"  # is in the names of Warp's kernels
 FFI = "/ffi_call"  # ends the scopes of what Warp has done by others
 MATTER = ("cloth", "particles")  # are in the names of our own kernels
 ENOUGH = 0.1
+"""Share of a group's time from which what is known speaks for the rest."""
 AFTER = 6
 """Updates before the one that is traced; the first does not count."""
 LARGEST = 15

@@ -24,6 +24,8 @@ FIELDS = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE) | 1 << int(
     mujoco.mjtConDataField.mjCONDATA_POS
 )
 """What a sensor reports: force in the contact's frame (3) and position (3)."""
+CONSTRAINT = 1
+"""Bit of contacts that the solver knows: MuJoCo Warp 3.17, types.ContactType."""
 NONE = (1 << 62) - 1
 """Of sensors that no contact matches."""
 
@@ -123,7 +125,7 @@ def _find_deepest(
     deepest: wp.array2d[wp.int64],
 ):
     contact = wp.tid()
-    if contact >= num_contacts[0] or not (contact_type[contact] & 1):
+    if contact >= num_contacts[0] or not (contact_type[contact] & wp.static(CONSTRAINT)):
         return
     geom = contact_geom[contact]
     for i in range(sensors.shape[0]):

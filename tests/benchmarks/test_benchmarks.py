@@ -86,10 +86,13 @@ def test_a_run_ends_as_its_last_episodes_did_and_a_failed_one_says_why(capsys):
 
 def test_the_search_for_nan_notes_one_interrupt():
     before = signal.getsignal(signal.SIGINT)
-    stop = nan.interrupted()
-    assert not stop()
-    signal.raise_signal(signal.SIGINT)
-    assert stop() and signal.getsignal(signal.SIGINT) is before
+    with nan.noted_interrupt() as stop:
+        assert not stop() and signal.getsignal(signal.SIGINT) is not before
+        signal.raise_signal(signal.SIGINT)
+        assert stop() and signal.getsignal(signal.SIGINT) is before
+    with nan.noted_interrupt():
+        pass
+    assert signal.getsignal(signal.SIGINT) is before  # without an interrupt too
 
 
 def test_speed_of_training_counts_every_call_but_the_first(monkeypatch):

@@ -44,7 +44,7 @@ from agym_jax.wrappers import vectorize
 envs = vectorize(agym_jax.make("ReachingJaco-v0", impl="jax"), 2048)
 state = jax.jit(envs.reset)(jax.random.key(0))
 step = jax.jit(envs.step)
-for _ in range(5):
+for _ in range(2):
     state = step(state, jax.numpy.ones((2048, envs.action_size)))
 print(state.obs.shape, bool(jax.numpy.isfinite(state.obs).all()))
 """

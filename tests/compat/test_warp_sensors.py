@@ -10,7 +10,7 @@ import pytest
 import agym_jax
 from agym_jax.compat.switch import VARIABLE
 
-warp = pytest.importorskip("warp")
+warp = pytest.importorskip("warp", reason='needs pip install "agym_jax[warp]"')
 pytestmark = pytest.mark.warp
 TOUCHING = """
 <mujoco>

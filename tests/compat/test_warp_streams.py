@@ -13,7 +13,7 @@ import pytest
 from agym_jax.compat.warp_streams import hold_streams
 from agym_jax.sim import mjx as mjx_physics
 
-warp = pytest.importorskip("warp")
+warp = pytest.importorskip("warp", reason='needs pip install "agym_jax[warp]"')
 pytestmark = pytest.mark.warp
 
 

@@ -16,6 +16,7 @@ from agym_jax.compat import warp_kernels
 from agym_jax.sim import mjx as mjx_physics
 from agym_jax.wrappers import vectorize
 
+pytest.importorskip("warp", reason='needs pip install "agym_jax[warp]"')
 pytestmark = [pytest.mark.warp, pytest.mark.slow]
 N = 4
 

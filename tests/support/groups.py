@@ -34,7 +34,7 @@ SECONDS = {
 }  # fmt: skip
 """What the longest groups take, roughly (2 cores, cold cache)."""
 SLOW_SECONDS = {
-    "tests/sim/test_warp.py": 230, "tests/train/test_devices.py": 260,
+    "tests/docs/test_torch_page.py::test_an_example_learns_to_reach": 120, "tests/sim/test_warp.py": 110, "tests/train/test_devices.py": 260,
     "tests/docs/test_docs.py": 210, "tests/docs/test_brax_page.py": 120,
     "tests/adapters/test_brax.py": 20, "tests/test_wheel.py": 150,
     "tests/tasks/test_meals.py": 40, "tests/adapters/test_gymnasium.py": 35,
@@ -63,12 +63,13 @@ def arrange(items: list[pytest.Item]) -> None:
             if group_of(item.nodeid) != group:
                 raise pytest.UsageError(f"{item.nodeid} belongs into {group!r}, see {__file__}")
     # pytest's own deselection by marks comes after this, and does not change the order
-    items.sort(key=lambda item: -_seconds(item, slow=item.config.option.markexpr == "slow"))
+    items.sort(key=lambda item: -_seconds(item, slow="not slow" not in item.config.option.markexpr))
 
 
 def _seconds(item: pytest.Item, slow: bool) -> float:
     """How long the group of a test takes, in a run of the slow tests or of the others."""
-    return (SLOW_SECONDS if slow else SECONDS).get(group_of(item.nodeid), 0)
+    table, group = SLOW_SECONDS if slow else SECONDS, group_of(item.nodeid)
+    return table.get(group) or table.get(group.partition("[")[0], 0)
 
 
 def scheduler(config: pytest.Config, log: Any) -> Any:

@@ -25,7 +25,7 @@ def test_versions_are_those_that_ci_trains_with():
 
 def test_ci_runs_them_in_an_environment_with_the_extras():
     script = (ROOT / ".ci" / "run").read_text()
-    assert '".[train,test,torch,rl,warp]"' in script and '-m "torch or warp"' in script
+    assert '".[torch,rl,warp]"' in script and '-m "torch or warp"' in script
 
 
 @pytest.mark.torch

@@ -121,13 +121,15 @@ def test_a_policy_is_measured_and_the_users_repository_is_not_ours(installed: In
 
 
 def test_a_film_is_drawn(installed: Installed):
-    words = "enjoy --env-name ReachingJaco-v0 --impl native --clip film.gif --width 32 --height 24 --backend raycast"
+    words = (
+        "enjoy --env-name ReachingJaco-v0 --clip film.gif --width 32 --height 24 --backend raycast"
+    )
     assert "film.gif" in installed.agym_jax(*words.split())
     assert (installed.folder / "film.gif").read_bytes()[:3] == b"GIF"
 
 
 def test_a_policy_is_trained_measured_and_loaded(installed: Installed):
-    words = "--env-name ReachingJaco-v0 --num-env-steps 80 --num-envs 4 --num-mini-batch 1 --impl native --save-dir runs"
+    words = "--env-name ReachingJaco-v0 --num-env-steps 80 --num-envs 4 --num-mini-batch 1 --save-dir runs"
     assert "ReachingJaco-v0: trained 80 steps" in installed.agym_jax("train", *words.split())
     words = "--env-name ReachingJaco-v0 --load-dir runs --num-episodes 1 --impl native"
     assert "ReachingJaco-v0, 1 episodes" in installed.agym_jax("evaluate", *words.split())

@@ -21,11 +21,9 @@ PAGE = ROOT / "docs" / "brax.md"
 TEXT = PAGE.read_text()
 SIZES, TRAINING = re.findall(r"^```python\n(.*?)^```$", TEXT, re.S | re.M)
 SMALL = dict(
-    num_timesteps=240, num_evals=1, num_eval_envs=4, num_envs=4, batch_size=2, num_minibatches=2
+    num_timesteps=880, num_evals=1, num_eval_envs=4, num_envs=4, batch_size=2, num_minibatches=2
 )
 STEPS = SMALL["num_timesteps"] // SMALL["num_envs"]
-LENGTH = 40
-"""Of an episode here, in control steps; a fifth of the page's."""
 
 
 def test_names_and_links_exist():
@@ -53,9 +51,7 @@ def _sizes() -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_the_example_trains_with_a_new_human_in_every_episode(monkeypatch, capsys):
-    make = agym_jax.make
-    monkeypatch.setattr(agym_jax, "make", lambda name: make(name, episode_length=LENGTH))
+def test_the_example_trains_with_a_new_human_after_every_200_steps(monkeypatch, capsys):
     envs: list[Any] = []  # of training, then of evaluation
     seen: dict[int, list[tuple]] = {0: [], 1: []}
     step = brax.BraxTrainingEnv.step
@@ -79,13 +75,13 @@ def test_the_example_trains_with_a_new_human_in_every_episode(monkeypatch, capsy
     for who, *told in seen[0]:
         for row, *values in zip(who, *told, strict=True):
             episodes.setdefault(np.asarray(row).tobytes(), []).append(tuple(map(float, values)))
-    whole = [(float(i), float(i == LENGTH), float(i == LENGTH)) for i in range(1, LENGTH + 1)]
+    whole = [(float(i), float(i == 200), float(i == 200)) for i in range(1, 201)]
     lengths = sorted(len(rows) for rows in episodes.values())
-    assert STEPS == 60 and lengths == [20] * 4 + [LENGTH] * 4
+    assert STEPS == 220 and lengths == [20] * 4 + [200] * 4
     assert all(sorted(rows) == whole[: len(rows)] for rows in episodes.values())
 
     metrics = names["metrics"]
-    assert metrics["eval/avg_episode_length"] == LENGTH
+    assert metrics["eval/avg_episode_length"] == 200
     assert all(np.isfinite(value) for value in metrics.values())
     assert metrics["training/policy_loss"] != 0
     assert f"{SMALL['num_timesteps']:,} steps  success" in capsys.readouterr().out

@@ -34,7 +34,8 @@ SECONDS = {
 }  # fmt: skip
 """What the longest groups take, roughly (2 cores, cold cache)."""
 SLOW_SECONDS = {
-    "tests/docs/test_torch_page.py::test_an_example_learns_to_reach": 120, "tests/sim/test_warp.py": 110, "tests/train/test_devices.py": 260,
+    "tests/train/test_devices.py": 260, "tests/sim/test_warp.py": 110,
+    "tests/docs/test_torch_page.py::test_an_example_learns_to_reach": 120,
     "tests/docs/test_docs.py": 210, "tests/docs/test_brax_page.py": 120,
     "tests/adapters/test_brax.py": 20, "tests/test_wheel.py": 150,
     "tests/tasks/test_meals.py": 40, "tests/adapters/test_gymnasium.py": 35,
@@ -68,8 +69,10 @@ def arrange(items: list[pytest.Item]) -> None:
 
 def _seconds(item: pytest.Item, slow: bool) -> float:
     """How long the group of a test takes, in a run of the slow tests or of the others."""
-    table, group = SLOW_SECONDS if slow else SECONDS, group_of(item.nodeid)
-    return table.get(group) or table.get(group.partition("[")[0], 0)
+    group, _, _ = group_of(item.nodeid).partition(
+        "["
+    )  # all cases of a test that is apart take about as long
+    return (SLOW_SECONDS if slow else SECONDS).get(group, 0)
 
 
 def scheduler(config: pytest.Config, log: Any) -> Any:

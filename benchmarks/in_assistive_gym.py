@@ -132,6 +132,50 @@ def roll(env: Any, length: float) -> None:
     pybullet.changeDynamics(env.bed, -1, **frictions, physicsClientId=env.id)
 
 
+class HeldTool:
+    """The tool in the hand, where Assistive Gym's fixed constraint yields.
+
+    Args:
+        env: after its reset.
+    """
+
+    def __init__(self, env: Any) -> None:
+        import pybullet
+
+        self.bullet, self.tool, self.options = pybullet, env.tool, {"physicsClientId": env.id}
+        ids = [pybullet.getConstraintUniqueId(i, **self.options) for i in range(pybullet.getNumConstraints(**self.options))]  # fmt: skip
+        ends = [pybullet.getConstraintInfo(x, **self.options)[:3] for x in ids]
+        self.hand = next((body, link) for body, link, child in ends if child == env.tool)
+        self.first = self._orientation()
+
+    def _orientation(self) -> np.ndarray:
+        """In the link that holds it, xyzw (4,)."""
+        hand = self.bullet.getLinkState(*self.hand, computeForwardKinematics=True, **self.options)
+        tool = self.bullet.getBasePositionAndOrientation(self.tool, **self.options)
+        inverse = self.bullet.invertTransform(*hand[:2])
+        return np.asarray(self.bullet.multiplyTransforms(*inverse, *tool)[1])
+
+    def turn(self) -> float:
+        """By how much it has turned since the beginning [rad]."""
+        return 2.0 * float(np.arccos(min(1.0, abs(self._orientation() @ self.first))))
+
+
+def start_of(env: Any, obs: np.ndarray) -> dict[str, Any]:
+    """How an episode of ScratchItch begins, for ``benchmarks.same_starts``: what the robot sees, the person, the itch.
+
+    Args:
+        env: after its reset.
+        obs: as ``Translator`` shows it (30,).
+    """
+    world = env.world_creation
+    tremor = world.human_tremors if world.human_impairment == "tremor" else np.zeros(10)
+    return {
+        "obs": obs, "sex": float(env.gender == "female"), "strength": world.human_strength,
+        "limit_scale": world.human_limit_scale, "tremor": np.asarray(tremor, float),
+        "on_forearm": float(env.limb == 7), "itch": np.asarray(env.target_on_arm, float),
+    }  # fmt: skip
+
+
 def run_episode(
     env: Any, act: Act, task: str, robot: str, seed: int, bed_rolling: float | None = None
 ) -> SimpleNamespace:
@@ -146,20 +190,35 @@ def run_episode(
         bed_rolling: see ``roll``, from the start of the episode on; None leaves it alone.
 
     Returns:
-        ``success``, ``total`` reward, and the mean and greatest ``forces`` on the person [N].
+        ``success``, ``total`` reward, the mean and greatest ``forces`` on the person [N]; in ScratchItch the ``start`` and by
+        how much the tool has ``turned`` in the hand at most [rad].
     """
     obs = reset(env, seed)
     if bed_rolling is not None:
         roll(env, bed_rolling)
     translate, forces, total, info = Translator(task, robot, obs), [], 0.0, {}
+    start, tool, turned = None, None, 0.0
+    if task == "ScratchItch":
+        start, tool = start_of(env, translate(obs)), HeldTool(env)
     twice = task == "ArmManipulation" and robot in ("jaco", "sawyer")  # it takes their action twice
     for _ in range(EPISODE_LENGTH):
         action = act(translate(obs))
         obs, reward, _, info = env.step(np.tile(action, 2) if twice else action)
         total += float(reward)
         forces.append(float(info["total_force_on_human"]))
-    success = bool(info["task_success"])
-    return SimpleNamespace(success=success, total=total, forces=(np.mean(forces), np.max(forces)))
+        if tool:
+            turned = max(turned, tool.turn())
+    return SimpleNamespace(
+        success=bool(info["task_success"]), total=total, forces=(np.mean(forces), np.max(forces)),
+        start=start, turned=turned,
+    )  # fmt: skip
+
+
+def write_starts(path: Path, first_seed: int, found: Sequence[SimpleNamespace]) -> None:
+    """Write how episodes of ScratchItch began and ended, for ``benchmarks.same_starts``."""
+    ends = [{"success": x.success, "turned": x.turned, **x.start} for x in found]
+    columns: dict[str, Any] = {name: np.array([row[name] for row in ends]) for name in ends[0]}
+    np.savez_compressed(path, **columns, seed=first_seed + np.arange(len(ends)))
 
 
 def parse(name: str) -> tuple[str, str]:
@@ -190,10 +249,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="rolling friction of the bed's material after the reset [m]",
     )
     flags.add_argument("--json", type=Path, help="file that a line with the result is appended to")
+    flags.add_argument(
+        "--starts", type=Path, help="NumPy file for the starts of ScratchItch's episodes, see benchmarks.same_starts"
+    )  # fmt: skip
     given = flags.parse_args(arguments)
     task, robot = parse(given.env_name)
     if given.bed_rolling is not None and task not in BEDS:
         raise SystemExit(f"--bed-rolling: there is no bed in {task}, only in {' and '.join(BEDS)}.")
+    if given.starts is not None and task != "ScratchItch":
+        raise SystemExit(f"--starts: written for ScratchItch, not for {task}.")
     act, about = load_actor(given.policy)
     env, found = make_env(task, robot), []
     for seed in range(given.seed, given.seed + given.num_episodes):
@@ -205,6 +269,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"{last.forces[1]:.1f} N, {time.time() - began:.0f} s; {won} of {len(found)}",
             flush=True,
         )
+    if given.starts:
+        write_starts(given.starts, given.seed, found)
     if given.json:
         line = {
             "kind": "in-assistive-gym", "env": given.env_name, "commit": about.get("commit"),

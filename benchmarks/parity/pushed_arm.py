@@ -8,20 +8,16 @@ up to 1 mrad apart (two draws each). All are medians over episodes.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import agym_jax
-from agym_jax.human import pose
 from agym_jax.human.population import Population
-from agym_jax.sim.episode import make_episode
-from agym_jax.state import Episode
 from benchmarks.parity.row import Row, traces
+from benchmarks.recorded_episode import episode_as
 
 STEPS = (10, 20, 40)
 JOINTS_APART = 0.03  # as for arms that touch nothing [rad]
@@ -34,19 +30,6 @@ class Paths(NamedTuple):
     angles: np.ndarray  # of the robot [rad]                                  (n, steps + 1, 7)
     wrist: np.ndarray  # from where it was at the start, along world axes [m] (n, steps + 1, 3)
     force: np.ndarray  # on the person, in each step [N]                      (n, steps)
-
-
-def episode_of(env: agym_jax.Env, case: int) -> Episode:
-    """An episode that begins as a recorded one does."""
-    kept, drawn = traces("pushed_arm"), env.reset(jax.random.PRNGKey(0)).episode
-    one, spec, sex = jnp.float32(1.0), env.task.human, float(kept["sex"][case])
-    human = dataclasses.replace(
-        drawn.human, sex=jnp.float32(sex), stature=one, girth=one, strength=one, limit_scale=one,
-        tremor=jnp.zeros_like(drawn.human.tremor),
-    )  # fmt: skip
-    body = jax.tree.map(jnp.float32, pose.typical(spec, sex, 1.0, 1.0, 1.0))
-    place = dataclasses.replace(drawn.placement, arm_angles=jnp.asarray(kept["q"][case, 0]))
-    return make_episode(env.scene, spec, (human, body, place, None), np)
 
 
 @functools.cache
@@ -62,7 +45,7 @@ def ours(masses: str, cases: tuple[int, ...] | None = None) -> Paths:
     aim, sense = jax.jit(env.controller.targets), jax.jit(env._sense)
     paths = []
     for case in range(len(kept["sex"])) if cases is None else cases:
-        episode = episode_of(env, case)
+        episode = episode_as(env, kept["q"][case, 0], float(kept["sex"][case]))
         data = env.physics.reset(env.physics.make_data(), episode)
         hand = env.scene.model.body("human/right_hand").id
         angles, wrist, force = [kept["q"][case, 0]], [np.asarray(data.xpos)[hand].copy()], []

@@ -74,6 +74,26 @@ def inside(folder: Path = RESULTS) -> str:
     return table([x for x in lines if x["parts"]], columns, ORDER)
 
 
+def same_starts(folder: Path = RESULTS) -> str:
+    """What policies do here from starts of episodes in Assistive Gym."""
+    columns = {
+        "environment": ORDER,
+        "episodes": lambda x: x["episodes"],
+        "success there": lambda x: x["there"],
+        "masses": lambda x: "as here" if x["masses"] == "body" else "Assistive Gym's",
+        "friction": lambda x: "as here" if x["friction"] == 1 else f"{x['friction']:g} times",
+        "friction cone": lambda x: "round" if x["round_cone"] else "pyramid",
+        "success here": lambda x: x["here"],
+        "in both": lambda x: x["both"],
+        "tool held": lambda x: x["held"],
+        "of these, there": lambda x: x["held_there"],
+        "of these, here": lambda x: x["held_here"],
+    }  # fmt: skip
+    lines = read_results("same_starts", ("env", "masses", "friction", "round_cone"), folder)
+    order = itemgetter("env", "friction", "round_cone", "masses")
+    return table(lines, columns, order)
+
+
 def _reach(folder: Path) -> list[Line]:
     return read_results("reach", ("env",), folder)
 

@@ -62,6 +62,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "reach": physics_tables.reach,
     "reach-mouth": physics_tables.reach_mouth,
     "inside": physics_tables.inside,
+    "same-starts": physics_tables.same_starts,
     "pulls": physics_tables.pulls,
     "cpu": cpu_tables.summary,
     "cpu-speed": cpu_tables.speed,

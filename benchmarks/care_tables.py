@@ -17,16 +17,21 @@ from train.evaluation.people import LEAST
 from train.evaluation.statistics import iqm
 
 ORDER = itemgetter("env")
+GENTLE, GROUP, PAIR = 0.9, 0.8, 0.95
+"""Goals: of gentle success with a passive person, of success in each group, and of a pair's success."""
 
 
 def _lines(folder: Path) -> list[Line]:
     return read_results("everybody", ("env",), folder, changed=True)
 
 
+def _large_groups(line: Line) -> list[Line]:
+    return [x for x in line["groups"] if x["episodes"] >= LEAST]
+
+
 def _group(line: Line, of: str) -> str:
     """The group of people with the least of something, and how much it is."""
-    large = [x for x in line["groups"] if x["episodes"] >= LEAST]
-    found = min(large, key=itemgetter(of))
+    found = min(_large_groups(line), key=itemgetter(of))
     return f"{found[of]:.0%} ({found['name']})"
 
 
@@ -48,6 +53,45 @@ def everybody(folder: Path = RESULTS) -> str:
         "worst group, gently": lambda x: _group(x, "gentle_success"),
     }
     return table(_lines(folder), columns, ORDER, "Mode;")
+
+
+def shortfalls(folder: Path = RESULTS) -> str:
+    """Environments below their goal: how often the task fails, how often it is done roughly, for whom, and where."""
+    every_size = {x["env"]: x for x in _lines(folder)}
+    robots = [
+        x
+        for x in read_results("evaluation", ("env", "policy"), folder)
+        if x["policy"] == "mode" and x["env"] in every_size
+    ]
+    pairs = [
+        x
+        for x in read_results("crossplay", ("env", "human_policy"), folder)
+        if x["human_policy"] == "person"
+    ]
+
+    def missed(line: Line) -> bool:
+        least = min(_large_groups(every_size[line["env"]]), key=itemgetter("success"))
+        return line["gentle_success"] < GENTLE or least["success"] < GROUP
+
+    def elsewhere(line: Line) -> str:
+        return _group(every_size[line["env"]], "success") if line["env"] in every_size else ""
+
+    def region(line: Line) -> str:
+        found = line["region_over_comfort"]
+        name = max(found, key=found.__getitem__, default="")
+        return f"{name}, {found[name]:.0%}" if name and found[name] >= 0.005 else ""
+
+    columns = {
+        "environment": ORDER,
+        "gentle success": percent("gentle_success"),
+        "fails": lambda x: f"{1 - x['success']:.1%}",
+        "done, but not gently": lambda x: f"{x['success'] - x['gentle_success']:.1%}",
+        "helped least often": lambda x: _group(x, "success"),
+        "among people of every size": elsewhere,
+        "region above its comfort limit in most episodes": region,
+    }
+    lines = [x for x in robots if missed(x)] + [x for x in pairs if x["success"] < PAIR]
+    return table(lines, columns, ORDER, "Mode;")
 
 
 def care(folder: Path = RESULTS) -> str:

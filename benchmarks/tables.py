@@ -70,6 +70,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "laptop": cpu_tables.laptop,
     "in-assistive-gym": policy_tables.in_assistive_gym,
     "everybody": care_tables.everybody,
+    "shortfalls": care_tables.shortfalls,
     "care": care_tables.care,
     "rough": care_tables.rough,
 }

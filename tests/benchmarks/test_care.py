@@ -53,6 +53,35 @@ def test_units_of_care_are_those_of_the_task(folder):
     assert row == "| BedBathingPR2-v0 | 35% wiped | 12.3 s |"
 
 
+def test_only_what_misses_its_goal_is_a_shortfall(tmp_path):
+    about = {"device": {"kind": "CPU"}, "commit": "abcdef12", "time": "2030-01-01T00:00:00"}
+
+    def lines(file, **envs):
+        def line(env, success, gentle, least):
+            return about | {
+                "env": env, "policy": "mode", "human_policy": "person", "success": success,
+                "gentle_success": gentle, "groups": [group("men", 50, least, gentle)],
+                "other_than_in_training": "humans.sizes" if file == "everybody" else "",
+                "region_over_comfort": {"hand": 0.1, "face": 1 - gentle, "neck": 0.0},
+            }  # fmt: skip
+
+        text = "".join(json.dumps(line(f"{name}-v0", *x)) + "\n" for name, x in envs.items())
+        (tmp_path / f"{file}.jsonl").write_text(text)
+
+    robots = {"FeedingPR2": (0.97, 0.95, 0.9), "FeedingJaco": (0.97, 0.89, 0.9)}
+    lines("evaluation", **robots, FeedingSawyer=(0.97, 0.97, 0.9))
+    lines("everybody", **robots, FeedingSawyer=(0.9, 0.9, 0.79))
+    lines("crossplay", FeedingPR2Human=(0.95, 0.1, 0.9), FeedingJacoHuman=(0.94, 0.94, 0.9))
+    rows = [row.split(" | ") for row in care_tables.shortfalls(tmp_path).splitlines()[2:5]]
+    assert [row[0] for row in rows] == [
+        "| FeedingJaco-v0",
+        "| FeedingJacoHuman-v0",
+        "| FeedingSawyer-v0",
+    ]
+    assert rows[0][1:] == ["89%", "3.0%", "8.0%", "90% (men)", "90% (men)", "face, 11% |"]
+    assert rows[1][5] == "" and rows[2][5] == "79% (men)" and rows[2][6] == "hand, 10% |"
+
+
 def test_a_page_without_results_says_so(tmp_path):
     assert "|" not in care_tables.everybody(tmp_path) and "|" not in care_tables.care(tmp_path)
 

@@ -11,10 +11,11 @@ DEVIATION(gown-start): AG drops the gown before each episode; it hangs like a cu
 tip, with the rest of the gown on the lap. Here a gown that hangs still begins swung forward and sideways, by as much as is
 drawn: its cuff is 27 to 35 cm before the tip (10th and 90th percentile of 24 starts), and 13 to 18 cm after it has swung back for 2 s. How far
 is set so that hands which move at once, or high above the arm, miss the sleeve, as their replayed paths do in AG.
-DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor, not the robot. Limbs are capsules. AG's cloth
-knows them by their distance on a grid of 0.25 m, linear in between, so that it meets an arm that tapers: at its ends, the
-forearm's own axis is 29 to 35 mm outside, and so it ends 6 (men) and 7 cm (women) before the elbow. There it rests at 37 to 40 mm and is pressed to 22 to 30 mm over the hand. In three of four episodes there
+DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor, not the robot. It stays 38 mm away from limbs, which
+are capsules; AG's rests 37 to 40 mm away, pressed to 22 to 30 over the hand. But AG's cloth knows a limb by its distance at points 0.25 m apart, linear
+in between, so that the arm tapers: unpressed, the gown comes as near to the forearm's axis at the elbow as 10 (men) and 3 mm (women). In three of four episodes there
 that were looked at, a sleeve pulled from 0.3 m above left the arm 3 to 6 cm before the elbow, through the arm; replayed here, it passes the elbow in 8 of 9.
+With ``tapered_arms``, upper arm and forearm taper here too, in a share of the episodes.
 DEVIATION(dressing-limits): the joint limits of the person's arm hold here as in every task.
 """
 
@@ -30,8 +31,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from agym_jax.errors import SpecError
 from agym_jax.furniture import WHEELCHAIR
-from agym_jax.human.body import LEFT_ARM
+from agym_jax.human.body import LEFT_ARM, shapes_of
 from agym_jax.human.capsules import link_capsules
 from agym_jax.matter.cloth import sleeve
 from agym_jax.matter.cloth import solver as fabrics
@@ -60,6 +62,9 @@ ARMREST = (
 )
 """Ends of the armrest's two capsules, world [m]: assets/furniture/wheelchair.xml."""
 ARMREST_RADIUS = 0.034  # [m]
+AG_GRID = 0.25
+"""Distance of the points between which AG's cloth interpolates how far it is from a limb [m] (btSparseSDF, voxelsz)."""
+TAPERING = ("left_upper_arm", "left_forearm")
 FLOOR = 0.0  # its height, world [m]
 START = (0.45, -0.3, 1.2)  # of the hand, world [m]: AG dressing.py reset
 START_SPREAD = 0.05  # [m], AG dressing.py reset
@@ -72,6 +77,8 @@ of all directions (AG: 0.28 to 0.52); AG's cuff is 1 to 5 cm to the left of the 
 paths that miss the sleeve in AG would dress people here."""
 AG_FORCE = 2.3
 """Value of AG's measure of the gown's force that corresponds to one newton: benchmarks/parity/gown.py."""
+AG_FORCE_TAPERED = 7.0
+"""The same for arms that taper, on which the gown presses less on the same paths."""
 LEFT_BESIDE = replace(
     WHEELCHAIR,
     name="wheelchair_left",  # what carries a robot stands on the person's left
@@ -88,13 +95,27 @@ class Config:
         dressing: weight of how far the sleeve has moved up the arm [1/m].
         action: weight of the squared action [1].
         dressed: how far it must have moved for success [m].
+        tapered_arms: share of the episodes in which the gown meets the arm as AG's cloth does, as two limbs that taper
+            towards shoulder, elbow and wrist, and end before them [1].
         preferences: weights of the human-preference terms.
     """
 
     dressing: float = 1.0  # dressing_reward_weight
     action: float = 0.01  # action_weight
     dressed: float = 0.4  # task_success_threshold
+    tapered_arms: float = 0.0  # AG: 1
     preferences: Preferences = Preferences()
+
+    def __post_init__(self) -> None:
+        """Reject a share that is none.
+
+        Raises:
+            SpecError: if ``tapered_arms`` is not between 0 and 1.
+        """
+        if not 0.0 <= self.tapered_arms <= 1.0:
+            raise SpecError(
+                f"Dressing's tapered_arms is a share of the episodes, between 0 and 1; got {self.tapered_arms}."
+            )
 
 
 @jax.tree_util.register_dataclass
@@ -109,6 +130,7 @@ class DressState:
     best: Array  # the best of it so far [m]                                    ()
     progress: Array  # share of the whole arm that is in the sleeve now         ()
     force: Array  # of the gown on each limb, mean of the last control step [N] (n_limbs,)
+    tapered: Array  # whether the arm tapers in this episode, 0 or 1        ()
 
 
 @observation(source="dressing.py _get_obs")
@@ -231,8 +253,16 @@ class Dressing:
             best=jnp.float32(-jnp.inf),
             progress=zero,
             force=jnp.zeros(len(TOUCHABLE) + len(BELOW)),
+            tapered=self._draw_tapered(key),
         )
         return self._judge(state, sensed)
+
+    def _draw_tapered(self, key: Array) -> Array:
+        """Return whether the arm of a new episode tapers, 0 or 1 ()."""
+        share = self.config.tapered_arms
+        if share <= 0.0:
+            return jnp.float32(0.0)
+        return jax.random.bernoulli(jax.random.fold_in(key, 1), share).astype(jnp.float32)
 
     def advance(self, state: DressState, sensed: Sensed) -> tuple[DressState, dict[str, Array]]:
         """Simulate the gown as the hand moves, and measure how far up the arm it is."""
@@ -250,6 +280,10 @@ class Dressing:
         still = jnp.broadcast_to(jnp.array(ARMREST), (len(a), 2, 2, 3))
         a, b = (jnp.concatenate([x, still[:, :, i]], 1) for i, x in enumerate((a, b)))
         radius = jnp.concatenate([radius, jnp.full(2, ARMREST_RADIUS)])
+        taper = None
+        if self.config.tapered_arms > 0.0:
+            which = np.array([x in TAPERING for x in shapes_of(limbs)] + [False, False])
+            taper = state.tapered * jnp.where(which, ag_taper(a[0], b[0]), 0.0)
 
         def one(carry: tuple, moment: tuple) -> tuple[tuple, ClothContact]:
             cloth, slid = carry
@@ -257,7 +291,7 @@ class Dressing:
             cloth, touch = fabrics.step(
                 self.spec, cloth, Capsules(a0, b0, radius), Capsules(a1, b1, radius),
                 held_at(self.spec, hand0 + slid), held_at(self.spec, hand1 + slid),
-                self.control.time_step, fabrics.in_hand(slid), FLOOR,
+                self.control.time_step, fabrics.in_hand(slid), FLOOR, taper,
             )  # fmt: skip
             return (cloth, fabrics.slip(slid, touch, self.control.time_step)), touch
 
@@ -344,7 +378,21 @@ class Dressing:
 
 def felt(state: DressState) -> Array:
     """Return the force of the gown on the person in AG's measure ()."""
-    return AG_FORCE * jnp.sum(state.force)
+    number = AG_FORCE + state.tapered * (AG_FORCE_TAPERED - AG_FORCE)
+    return number * jnp.sum(state.force)
+
+
+def ag_taper(a_w: Array, b_w: Array) -> Array:
+    """Return how much thinner AG's cloth finds capsules at their ends than in the middle [m] (k,).
+
+    Along the axis, AG's distance is linear from the centre, where it is minus the radius, to a point AG_GRID away.
+
+    Args:
+        a_w: one end of each capsule, at most 2 AG_GRID from the other, world [m] (k, 3).
+        b_w: the other end, world [m] (k, 3).
+    """
+    half = jnp.linalg.norm(b_w - a_w, axis=-1) / 2
+    return half * (1.0 - half / AG_GRID)
 
 
 def swung(pos_w: Array, held_w: Array, hand_w: Array, off: Array) -> Array:

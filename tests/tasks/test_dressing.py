@@ -16,6 +16,8 @@ from cloth_scene import arm_of as limb_of
 from meal_scene import CHEST, FAR, TORSO, arrays, sensed
 
 from agym_jax import observe
+from agym_jax.errors import SpecError
+from agym_jax.human.anthropometry import dims
 from agym_jax.matter.cloth.sleeve import SleeveState, crossed
 from agym_jax.matter.cloth.solver import MAX_SLIP
 from agym_jax.robots import ROBOTS
@@ -26,6 +28,8 @@ from agym_jax.tasks.dressing import (
     BELOW_HAND,
     DRESSING,
     START,
+    Config,
+    ag_taper,
     arm_of,
     held_at,
     swung,
@@ -247,6 +251,26 @@ def test_the_gown_is_drawn_as_a_surface():
     (gown,) = TASK.surfaces(start())
     assert gown.vertices.shape == TASK.spec.garment.vertices.shape and len(gown.triangles) > 1000
     assert TASK.markers(start()) == []
+
+
+@pytest.mark.parametrize(("sex", "outside", "short"), [(0.0, 0.029, 0.06), (1.0, 0.035, 0.07)])
+def test_a_tapering_forearm_ends_where_assistive_gyms_does(sex, outside, short):
+    """As the engine's own grid has it: how far outside the end of the axis is, and where the surface meets the axis."""
+    d = dims(sex)
+    half = d.forearm_l / 2
+    taper = float(ag_taper(jnp.zeros((1, 3)), jnp.array([[0.0, 0.0, d.forearm_l]]))[0])
+    assert taper - d.forearm_r == pytest.approx(outside, abs=0.002)
+    assert half * (1 - d.forearm_r / taper) == pytest.approx(short, abs=0.006)
+    assert ag_taper(jnp.zeros((1, 3)), jnp.zeros((1, 3)))[0] == 0  # a sphere does not taper
+
+
+def test_arms_taper_in_a_share_of_the_episodes():
+    assert TASK.config.tapered_arms == 0 and start().tapered == 0
+    some = replace(TASK, config=Config(tapered_arms=0.25))
+    drawn = jax.vmap(some._draw_tapered)(jax.random.split(jax.random.PRNGKey(0), 400))
+    assert set(drawn.tolist()) == {0.0, 1.0} and 0.19 < drawn.mean() < 0.31
+    with pytest.raises(SpecError, match=r"between 0 and 1; got 1\.5"):
+        Config(tapered_arms=1.5)
 
 
 def test_every_robot_has_a_start_for_it():

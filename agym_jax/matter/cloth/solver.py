@@ -107,7 +107,7 @@ def anchor_positions(spec: ClothSpec, pos_w: Array, rot_w: Array | None = None) 
 
 def step(
     spec: ClothSpec, cloth: Cloth, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array, dt: float,
-    held: Array | None = None, floor: float | None = None,
+    held: Array | None = None, floor: float | None = None, taper: Array | None = None,
 ) -> tuple[Cloth, ClothContact]:  # fmt: skip
     """Advance by one physics step, while solids and anchors move along straight lines.
 
@@ -121,6 +121,8 @@ def step(
         dt: length of the step [s].
         held: whether the anchors hold the cloth, () bool; they do if left out.
         floor: height of the floor [m]; there is none if left out.
+        taper: how much thinner each capsule is at its ends than in the middle [m] (k,), linear in between; where that
+            is more than its radius, nothing is there. Capsules do not taper if left out.
 
     Returns:
         cloth, and its contact forces. A vertex counts for the solid that it touched last.
@@ -128,7 +130,7 @@ def step(
     h, vel_before = dt / spec.substeps, cloth.vel_w
     mass = jnp.asarray(spec.mass, jnp.float32)
     substep = partial(_substep, spec, h, len(end.radius), floor)
-    path = _trajectory(spec.substeps, start, end, anchors_start, anchors_end)
+    path = _trajectory(spec.substeps, start, end, anchors_start, anchors_end, taper)
     *after, pushed, touched = advance(
         substep, tables(spec, h), cloth.pos_w, cloth.vel_w, path, held
     )
@@ -217,16 +219,20 @@ class _Trajectory:
     turned: Array  # displacement of the other end, relative to that [m]    (s, 3, k)
     inverse: Array  # 1 / squared length [1/m^2]                            (s, 1, k)
     radius: Array  # [m]                                                    (s, 1, k)
+    taper: Array | None  # twice how much thinner it is at its ends [m]     (s, 1, k)
 
 
 def _trajectory(
-    substeps: int, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array
-) -> _Trajectory:
+    substeps: int, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array, taper: Array | None,
+) -> _Trajectory:  # fmt: skip
     """Straight lines, divided into substeps."""
     share = jnp.arange(substeps + 1)[:, None, None] / substeps
 
     def between(a: Array, b: Array) -> Array:
         return a.T + share * (b - a).T
+
+    def always(x: Array) -> Array:
+        return jnp.broadcast_to(x, (substeps, 1, len(x)))
 
     a, b = between(start.a_w, end.a_w), between(start.b_w, end.b_w)
     axis = b - a
@@ -238,7 +244,8 @@ def _trajectory(
         moved=a[1:] - a[:-1],
         turned=axis[1:] - axis[:-1],
         inverse=1.0 / squared[1:],
-        radius=jnp.broadcast_to(end.radius, (substeps, 1, len(end.radius))),
+        radius=always(end.radius),
+        taper=None if taper is None else always(2.0 * taper),
     )
 
 
@@ -343,9 +350,15 @@ def _nearest_capsule(pos: Xyz, now: _Trajectory, count: int) -> tuple[Array, Arr
         share = jnp.clip(dot(from_a, axis) * now.inverse[0, k], 0.0, 1.0)
         return share, sub(from_a, scale(share, axis))
 
+    def radius(k: int | Array, share: Array) -> Array:
+        """Of a capsule, at a point of its axis [m]."""
+        middle = now.radius[0, k]
+        return middle if now.taper is None else middle - now.taper[0, k] * jnp.abs(share - 0.5)
+
     which, least = jnp.zeros_like(pos[0], jnp.int32), jnp.full_like(pos[0], jnp.inf)
     for k in range(count):
-        dist = length(offset(k)[1]) - now.radius[0, k]
+        share, off = offset(k)
+        dist = length(off) - radius(k, share)
         nearer = (dist < least) | jnp.isnan(
             dist
         )  # a solid that is not finite makes the cloth non-finite
@@ -353,4 +366,4 @@ def _nearest_capsule(pos: Xyz, now: _Trajectory, count: int) -> tuple[Array, Arr
     share, off = offset(which)
     gap = length(off)
     carried = add(_vectors(now.moved, which), scale(share, _vectors(now.turned, which)))
-    return which, gap - now.radius[0, which], scale(1.0 / gap, off), carried
+    return which, gap - radius(which, share), scale(1.0 / gap, off), carried

@@ -270,16 +270,21 @@ def seeds(folder: Path = RESULTS) -> str:
 
 def in_assistive_gym(folder: Path = RESULTS) -> str:
     """Success of policies in Assistive Gym itself, beside that here."""
-    here = {x["env"]: x["success"] for x in read_results("evaluation", ("env",), folder)}
+    here = {x["env"]: x for x in read_results("evaluation", ("env",), folder)}
 
     def share(x: Line) -> float:
         return x["successes"] / x["episodes"]
 
+    def there(x: Line) -> str:
+        now = here[x["env"]].get("policy_commit") or x["commit"]
+        before = "" if now.startswith(x["commit"][:7]) else " (the policy before)"
+        return f"{x['successes']} of {x['episodes']}{before}"
+
     columns = {
         "environment": lambda x: x["env"],
-        "success in Assistive Gym": lambda x: f"{x['successes']} of {x['episodes']}",
-        "success here": lambda x: f"{here[x['env']]:.0%}",
-        "share of it": lambda x: f"{share(x) / here[x['env']]:.0%}",
+        "success in Assistive Gym": there,
+        "success here": lambda x: f"{here[x['env']]['success']:.0%}",
+        "share of it": lambda x: f"{share(x) / here[x['env']]['success']:.0%}",
     }
     lines = read_results("in_assistive_gym", ("env",), folder)
     return table(

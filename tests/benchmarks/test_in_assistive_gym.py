@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 
 import jax
@@ -16,6 +17,7 @@ from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import build_scene
 from agym_jax.tasks import TASKS
 from benchmarks import in_assistive_gym as ag
+from benchmarks import policy_tables
 
 TURN = 2 * np.pi
 
@@ -94,3 +96,23 @@ def test_an_episode_follows_from_its_seed_alone():
 def test_a_bed_is_changed_only_where_there_is_one():
     with pytest.raises(SystemExit, match="no bed in Feeding, only in BedBathing and ArmManip"):
         ag.main(["FeedingJaco-v0", "none.npz", "--bed-rolling", "0"])
+
+
+def test_the_table_says_where_another_policy_ships_by_now(tmp_path):
+    about = {"device": {"kind": "CPU"}, "time": "2030-01-01T00:00:00"}
+
+    def write(file, *lines):
+        text = "".join(json.dumps(about | line) + "\n" for line in lines)
+        (tmp_path / f"{file}.jsonl").write_text(text)
+
+    ids = ("FeedingPR2-v0", "FeedingJaco-v0")
+    there = {"commit": "abcdef1", "episodes": 20, "successes": 12}
+    write("in_assistive_gym", *(there | {"env": env} for env in ids))
+    here = {"commit": "0123456", "success": 0.75, "policy": "mode"}
+    commits = zip(ids, ("abcdef12", "9876543a"), strict=True)
+    write("evaluation", *(here | {"env": env, "policy_commit": c} for env, c in commits))
+    rows = policy_tables.in_assistive_gym(tmp_path).splitlines()[2:4]
+    assert set(rows) == {
+        "| FeedingPR2-v0 | 12 of 20 | 75% | 80% |",
+        "| FeedingJaco-v0 | 12 of 20 (the policy before) | 75% | 80% |",
+    }

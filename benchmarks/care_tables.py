@@ -87,8 +87,8 @@ def shortfalls(folder: Path = RESULTS) -> str:
         "fails": lambda x: f"{1 - x['success']:.1%}",
         "done, but not gently": lambda x: f"{x['success'] - x['gentle_success']:.1%}",
         "helped least often": lambda x: _group(x, "success"),
-        "among people of every size": elsewhere,
-        "region above its comfort limit in most episodes": region,
+        "helped least often, every size": elsewhere,
+        "region most often above its comfort limit": region,
     }
     lines = [x for x in robots if missed(x)] + [x for x in pairs if x["success"] < PAIR]
     return table(lines, columns, ORDER, "Mode;")

@@ -275,16 +275,21 @@ def in_assistive_gym(folder: Path = RESULTS) -> str:
     def share(x: Line) -> float:
         return x["successes"] / x["episodes"]
 
-    def there(x: Line) -> str:
+    def ships(x: Line) -> bool:
         now = here[x["env"]].get("policy_commit") or x["commit"]
-        before = "" if now.startswith(x["commit"][:7]) else " (the policy before)"
-        return f"{x['successes']} of {x['episodes']}{before}"
+        return now.startswith(x["commit"][:7])
+
+    def there(x: Line) -> str:
+        return f"{x['successes']} of {x['episodes']}{'' if ships(x) else ' (a former policy)'}"
+
+    def ratio(x: Line) -> str:
+        return f"{share(x) / here[x['env']]['success']:.0%}" if ships(x) else ""
 
     columns = {
         "environment": lambda x: x["env"],
         "success in Assistive Gym": there,
         "success here": lambda x: f"{here[x['env']]['success']:.0%}",
-        "share of it": lambda x: f"{share(x) / here[x['env']]['success']:.0%}",
+        "share of it": ratio,
     }
     lines = read_results("in_assistive_gym", ("env",), folder)
     return table(

@@ -49,7 +49,8 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "BedBathing": _MANY_STROKES,
     "Feeding": _SLOW,
     "Drinking": _POUR,
-    # of 12 seeds of these two (passive person), 7 learn to pour instead of 3; PR2 and Baxter were not trained so
+    # of 12 seeds of these two (passive person), 7 learn to pour instead of 3, although it is more than the noise begins with;
+    # PR2 and Baxter were not trained so, and pairs take the settings of their robot
     "DrinkingJaco": _POUR | {"noise_floor": 0.6},
     "DrinkingSawyer": _POUR | {"noise_floor": 0.6},
     "Dressing": _SLOW,

@@ -6,7 +6,8 @@ for how far up the arm the cuff has moved; success is 0.4 m, measured from the t
 
 DEVIATION(cloth-force): AG's number of the gown's force is 10 times the position corrections of one solver iteration,
 summed over contacts below 1.1 m and 20 units, with robot and wheelchair among them. Observed and rewarded is what the
-gown presses on the person, the mean over a control step, summed over its vertices [N], times AG_FORCE.
+gown presses on the person, the mean over a control step, summed over its vertices [N], times AG_FORCE (with
+``tapered_arms``, AG_FORCE_TAPERED).
 DEVIATION(gown-start): AG drops the gown before each episode; it hangs like a curtain before the hand, its cuff 5 cm before the
 tip, with the rest of the gown on the lap. Here a gown that hangs still begins swung forward and sideways, by as much as is
 drawn: its cuff is 27 to 35 cm before the tip (10th and 90th percentile of 24 starts), and 13 to 18 cm after it has swung back for 2 s. How far
@@ -96,7 +97,7 @@ class Config:
         action: weight of the squared action [1].
         dressed: how far it must have moved for success [m].
         tapered_arms: share of the episodes in which the gown meets the arm as AG's cloth does, as two limbs that taper
-            towards shoulder, elbow and wrist, and end before them [1].
+            towards shoulder, elbow and wrist [1].
         preferences: weights of the human-preference terms.
     """
 
@@ -107,7 +108,7 @@ class Config:
     preferences: Preferences = Preferences()
 
     def __post_init__(self) -> None:
-        """Reject a share that is none.
+        """Reject what is not a share.
 
         Raises:
             SpecError: if ``tapered_arms`` is not between 0 and 1.
@@ -282,8 +283,8 @@ class Dressing:
         radius = jnp.concatenate([radius, jnp.full(2, ARMREST_RADIUS)])
         taper = None
         if self.config.tapered_arms > 0.0:
-            which = np.array([x in TAPERING for x in shapes_of(limbs)] + [False, False])
-            taper = state.tapered * jnp.where(which, ag_taper(a[0], b[0]), 0.0)
+            arm = np.array([x in TAPERING for x in shapes_of(limbs)] + [False, False])
+            taper = state.tapered * jnp.where(arm, ag_taper(a[0], b[0]), 0.0)
 
         def one(carry: tuple, moment: tuple) -> tuple[tuple, ClothContact]:
             cloth, slid = carry
@@ -378,8 +379,8 @@ class Dressing:
 
 def felt(state: DressState) -> Array:
     """Return the force of the gown on the person in AG's measure ()."""
-    number = AG_FORCE + state.tapered * (AG_FORCE_TAPERED - AG_FORCE)
-    return number * jnp.sum(state.force)
+    per_newton = AG_FORCE + state.tapered * (AG_FORCE_TAPERED - AG_FORCE)
+    return per_newton * jnp.sum(state.force)
 
 
 def ag_taper(a_w: Array, b_w: Array) -> Array:

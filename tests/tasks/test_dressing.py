@@ -18,8 +18,9 @@ from meal_scene import CHEST, FAR, TORSO, arrays, sensed
 from agym_jax import observe
 from agym_jax.errors import SpecError
 from agym_jax.human.anthropometry import dims
+from agym_jax.matter.cloth import solver as fabrics
 from agym_jax.matter.cloth.sleeve import SleeveState, crossed
-from agym_jax.matter.cloth.solver import MAX_SLIP
+from agym_jax.matter.cloth.solver import MAX_SLIP, ClothContact
 from agym_jax.robots import ROBOTS
 from agym_jax.spec import Preferences
 from agym_jax.tasks.dressing import (
@@ -31,6 +32,7 @@ from agym_jax.tasks.dressing import (
     Config,
     ag_taper,
     arm_of,
+    felt,
     held_at,
     swung,
 )  # fmt: skip
@@ -254,7 +256,7 @@ def test_the_gown_is_drawn_as_a_surface():
 
 
 @pytest.mark.parametrize(("sex", "outside", "short"), [(0.0, 0.029, 0.06), (1.0, 0.035, 0.07)])
-def test_a_tapering_forearm_ends_where_assistive_gyms_does(sex, outside, short):
+def test_a_tapering_forearm_is_as_thin_as_assistive_gyms(sex, outside, short):
     """As the engine's own grid has it: how far outside the end of the axis is, and where the surface meets the axis."""
     d = dims(sex)
     half = d.forearm_l / 2
@@ -271,6 +273,33 @@ def test_arms_taper_in_a_share_of_the_episodes():
     assert set(drawn.tolist()) == {0.0, 1.0} and 0.19 < drawn.mean() < 0.31
     with pytest.raises(SpecError, match=r"between 0 and 1; got 1\.5"):
         Config(tapered_arms=1.5)
+
+
+def test_upper_arm_and_forearm_taper_and_nothing_else(monkeypatch):
+    some, given = replace(TASK, config=Config(tapered_arms=0.5)), []
+    nothing = jnp.zeros(3)
+
+    def step(spec, cloth, before, after, *others):
+        given.append((np.linalg.norm(after.b_w - after.a_w, axis=1), others[-1]))
+        still = ClothContact(jnp.zeros((1, 3)), jnp.zeros(1), nothing, jnp.float32(1), False)
+        return cloth, still
+
+    monkeypatch.setattr(fabrics, "step", step)
+    with jax.disable_jit():
+        for tapered in (0.0, 1.0):
+            some._move(replace(start(), tapered=jnp.float32(tapered)), seen())
+        TASK._move(start(), seen())
+    (_, none), (lengths, taper), (_, left_out) = given[0], given[10], given[20]
+    assert len(given) == 30 and left_out is None and not none.any()
+    half = lengths[:2] / 2  # upper arm, forearm
+    np.testing.assert_allclose(taper[:2], half * (1 - half / 0.25), rtol=1e-5)
+    assert half.min() > 0.1 and not taper[2:].any()
+
+
+@pytest.mark.parametrize(("tapered", "per_newton"), [(0.0, 2.3), (1.0, 7.0)])
+def test_a_newton_counts_for_more_on_an_arm_that_tapers(tapered: float, per_newton: float):
+    state = replace(start(), force=start().force.at[:2].set(1.5), tapered=jnp.float32(tapered))
+    assert float(felt(state)) == pytest.approx(3.0 * per_newton)
 
 
 def test_every_robot_has_a_start_for_it():

@@ -122,7 +122,7 @@ def step(
         held: whether the anchors hold the cloth, () bool; they do if left out.
         floor: height of the floor [m]; there is none if left out.
         taper: how much thinner each capsule is at its ends than in the middle [m] (k,), linear in between; where that
-            is more than its radius, nothing is there. Capsules do not taper if left out.
+            is more than its radius and the cloth's thickness, nothing is there. Capsules do not taper if left out.
 
     Returns:
         cloth, and its contact forces. A vertex counts for the solid that it touched last.

@@ -59,6 +59,7 @@ def test_the_start_of_another_robot_is_refused(env, recorded):
 
 
 @pytest.mark.jit
+@pytest.mark.slow
 def test_successes_are_counted_with_and_without_tools_that_turned(recorded, tmp_path, capsys):
     start, _ = recorded
     ends = [SimpleNamespace(success=ok, turned=turned, start=start) for ok, turned in ((True, 0.1), (False, 1.0))]  # fmt: skip

@@ -151,6 +151,22 @@ def rough(folder: Path = RESULTS) -> str:
     return table(lines, columns, by, f"{episodes} episodes, mode;")
 
 
+def tapered(folder: Path = RESULTS) -> str:
+    """Whom shipped policies dress where the arm tapers as in Assistive Gym, and in Assistive Gym itself."""
+    here = {x["env"]: x for x in read_results("evaluation", ("env",), folder)}
+    there = {x["env"]: x for x in read_results("in_assistive_gym", ("env",), folder)}
+    columns = {
+        "environment": ORDER,
+        "success": lambda x: f"{here[x['env']]['success']:.0%}",
+        "with arms that taper": lambda x: f"{x['success']:.0%} of {x['episodes']}",
+        "of the arm's length in the sleeve at the end, then": lambda x: f"{x['task/covered']:.0%}",
+        "in Assistive Gym": lambda x: (
+            f"{there[x['env']]['successes']} of {there[x['env']]['episodes']}"
+        ),
+    }
+    return table(read_results("tapered", ("env",), folder, changed=True), columns, ORDER, "Mode;")
+
+
 def _how_far(line: Line) -> str:
     task: Any = parse(line["env"]).task
     return ", ".join(in_words(x, line[f"task/{x.name}"]) for x in task.measures)

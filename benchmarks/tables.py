@@ -71,6 +71,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "in-assistive-gym": policy_tables.in_assistive_gym,
     "everybody": care_tables.everybody,
     "shortfalls": care_tables.shortfalls,
+    "tapered": care_tables.tapered,
     "care": care_tables.care,
     "rough": care_tables.rough,
 }

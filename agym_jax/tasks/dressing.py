@@ -34,12 +34,12 @@ from jax import Array
 
 from agym_jax.errors import SpecError
 from agym_jax.furniture import WHEELCHAIR
-from agym_jax.human.body import LEFT_ARM, shapes_of
-from agym_jax.human.capsules import link_capsules
+from agym_jax.human.body import LEFT_ARM
 from agym_jax.matter.cloth import sleeve
 from agym_jax.matter.cloth import solver as fabrics
 from agym_jax.matter.cloth.garment import Garment, load
-from agym_jax.matter.cloth.hang import settle
+from agym_jax.matter.cloth.hang import settle, swung
+from agym_jax.matter.cloth.obstacles import arm_taper, obstacles
 from agym_jax.matter.cloth.solver import Cloth, ClothContact
 from agym_jax.matter.cloth.topology import GOWN_FABRIC, ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import Capsules
@@ -57,15 +57,6 @@ TOUCHABLE = (*ARM_LINKS, "left_girdle", "chest", "waist", "head", "left_thigh")
 """Limbs that the hand and the gown may touch."""
 BELOW = ("neck", "right_thigh")
 """Further limbs on which the gown may lie."""
-ARMREST = (
-    ((0.245, -0.171, 0.685), (0.245, 0.025, 0.685)),
-    ((0.298, -0.171, 0.685), (0.298, 0.025, 0.685)),
-)
-"""Ends of the armrest's two capsules, world [m]: assets/furniture/wheelchair.xml."""
-ARMREST_RADIUS = 0.034  # [m]
-AG_GRID = 0.25
-"""Distance of the points between which AG's cloth interpolates how far it is from a limb [m] (btSparseSDF, voxelsz)."""
-TAPERING = ("left_upper_arm", "left_forearm")
 FLOOR = 0.0  # its height, world [m]
 START = (0.45, -0.3, 1.2)  # of the hand, world [m]: AG dressing.py reset
 START_SPREAD = 0.05  # [m], AG dressing.py reset
@@ -277,14 +268,10 @@ class Dressing:
         """Return the gown after the n physics steps of a control step, and its contacts in each of them."""
         motion = sensed.motion
         limbs = (*TOUCHABLE, *BELOW)
-        a, b, radius = link_capsules(sensed.dims, limbs, motion.link_pos_w, motion.link_rot_w)
-        still = jnp.broadcast_to(jnp.array(ARMREST), (len(a), 2, 2, 3))
-        a, b = (jnp.concatenate([x, still[:, :, i]], 1) for i, x in enumerate((a, b)))
-        radius = jnp.concatenate([radius, jnp.full(2, ARMREST_RADIUS)])
+        a, b, radius = obstacles(sensed.dims, limbs, motion.link_pos_w, motion.link_rot_w)
         taper = None
         if self.config.tapered_arms > 0.0:
-            arm = np.array([x in TAPERING for x in shapes_of(limbs)] + [False, False])
-            taper = state.tapered * jnp.where(arm, ag_taper(a[0], b[0]), 0.0)
+            taper = state.tapered * arm_taper(limbs, a[0], b[0])
 
         def one(carry: tuple, moment: tuple) -> tuple[tuple, ClothContact]:
             cloth, slid = carry
@@ -381,33 +368,6 @@ def felt(state: DressState) -> Array:
     """Return the force of the gown on the person in AG's measure ()."""
     per_newton = AG_FORCE + state.tapered * (AG_FORCE_TAPERED - AG_FORCE)
     return per_newton * jnp.sum(state.force)
-
-
-def ag_taper(a_w: Array, b_w: Array) -> Array:
-    """Return how much thinner AG's cloth finds capsules at their ends than in the middle [m] (k,).
-
-    Along the axis, AG's distance is linear from the centre, where it is minus the radius, to a point AG_GRID away.
-
-    Args:
-        a_w: one end of each capsule, at most 2 AG_GRID from the other, world [m] (k, 3).
-        b_w: the other end, world [m] (k, 3).
-    """
-    half = jnp.linalg.norm(b_w - a_w, axis=-1) / 2
-    return half * (1.0 - half / AG_GRID)
-
-
-def swung(pos_w: Array, held_w: Array, hand_w: Array, off: Array) -> Array:
-    """Swing a hanging gown to a place in front of a hand, world [m] (n, 3).
-
-    Args:
-        pos_w: vertices of the gown hanging straight down [m] (n, 3).
-        held_w: where it is held [m] (3,).
-        hand_w: tip of the person's hand [m] (3,).
-        off: how far it is swung at the height of the hand, to the person's left and forward of the hand [m] (2,).
-    """
-    below = hand_w - held_w
-    swing = jnp.array([off[0], jnp.minimum(below[1] - off[1], 0.0), 0.0])
-    return pos_w + swing * jnp.clip((pos_w[:, 2:] - held_w[2]) / below[2], 0.0, 1.0)
 
 
 def held_at(spec: ClothSpec, hand_w: Array) -> Array:

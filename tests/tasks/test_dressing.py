@@ -19,6 +19,8 @@ from agym_jax import observe
 from agym_jax.errors import SpecError
 from agym_jax.human.anthropometry import dims
 from agym_jax.matter.cloth import solver as fabrics
+from agym_jax.matter.cloth.hang import swung
+from agym_jax.matter.cloth.obstacles import ag_taper
 from agym_jax.matter.cloth.sleeve import SleeveState, crossed
 from agym_jax.matter.cloth.solver import MAX_SLIP, ClothContact
 from agym_jax.robots import ROBOTS
@@ -30,11 +32,9 @@ from agym_jax.tasks.dressing import (
     DRESSING,
     START,
     Config,
-    ag_taper,
     arm_of,
     felt,
     held_at,
-    swung,
 )  # fmt: skip
 
 TASK = DRESSING

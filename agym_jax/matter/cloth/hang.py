@@ -1,4 +1,4 @@
-"""Settling of a garment that hangs freely from its anchors: the shape in which an episode begins.
+"""A garment that hangs from its anchors: the shape in which it comes to rest, and how it is swung when an episode begins.
 
 Assistive Gym drops the gown from its mesh at every reset and lets it settle for 2 s at half the gravity
 (dressing.py reset). Here it settles once, until it is at rest. The packaged gown has its hanging shape in the file;
@@ -12,6 +12,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from agym_jax.matter.cloth.garment import Garment
 from agym_jax.matter.cloth.solver import anchor_positions, initial, step
@@ -46,3 +47,17 @@ def settle(
         return jax.lax.scan(one, initial(spec, jnp.zeros(3)), length=round(DURATION / DT))[0].pos_w
 
     return replace(garment, hanging=np.asarray(hang()))
+
+
+def swung(pos_w: Array, held_w: Array, hand_w: Array, off: Array) -> Array:
+    """Swing a hanging gown to a place in front of a hand, world [m] (n, 3).
+
+    Args:
+        pos_w: vertices of the gown hanging straight down [m] (n, 3).
+        held_w: where it is held [m] (3,).
+        hand_w: tip of the person's hand [m] (3,).
+        off: how far it is swung at the height of the hand, to the person's left and forward of the hand [m] (2,).
+    """
+    below = hand_w - held_w
+    swing = jnp.array([off[0], jnp.minimum(below[1] - off[1], 0.0), 0.0])
+    return pos_w + swing * jnp.clip((pos_w[:, 2:] - held_w[2]) / below[2], 0.0, 1.0)

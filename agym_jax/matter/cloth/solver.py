@@ -219,7 +219,7 @@ class _Trajectory:
     turned: Array  # displacement of the other end, relative to that [m]    (s, 3, k)
     inverse: Array  # 1 / squared length [1/m^2]                            (s, 1, k)
     radius: Array  # [m]                                                    (s, 1, k)
-    taper: Array | None  # twice how much thinner it is at its ends [m]     (s, 1, k)
+    taper: Array | None  # how much thinner it is at its ends [m]           (s, 1, k)
 
 
 def _trajectory(
@@ -245,7 +245,7 @@ def _trajectory(
         turned=axis[1:] - axis[:-1],
         inverse=1.0 / squared[1:],
         radius=always(end.radius),
-        taper=None if taper is None else always(2.0 * taper),
+        taper=None if taper is None else always(taper),
     )
 
 
@@ -353,7 +353,9 @@ def _nearest_capsule(pos: Xyz, now: _Trajectory, count: int) -> tuple[Array, Arr
     def radius(k: int | Array, share: Array) -> Array:
         """Of a capsule, at a point of its axis [m]."""
         middle = now.radius[0, k]
-        return middle if now.taper is None else middle - now.taper[0, k] * jnp.abs(share - 0.5)
+        if now.taper is None:
+            return middle
+        return middle - now.taper[0, k] * jnp.abs(2.0 * share - 1.0)
 
     which, least = jnp.zeros_like(pos[0], jnp.int32), jnp.full_like(pos[0], jnp.inf)
     for k in range(count):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from fake_pair_env import FakePairEnv
 from agym_jax.policy.policy import read_policy
 from benchmarks import collect as collecting
 from benchmarks import markdown, policy_tables, seed_curves, shipped
+from benchmarks.setting_as_run import SettingError, setting_as_run
 from train import coop, ppo, select
 from train.configs import CoopConfig, PPOConfig
 from train.runs.overview import first_time, read_rows, reduced_curve, training_summary
@@ -286,3 +288,24 @@ def test_what_went_on_with_a_policy_is_told_apart_from_what_began_with_nothing(r
     assert not lines(repository, "selection") and not lines(repository, "seed_training")
     (row,) = policy_tables.continued(repository / "results").splitlines()[2:3]
     assert row.startswith(f"| {ALONE} | 2 x 0.00096 M |") and row.endswith("| 50.0% |")
+
+
+def test_a_setting_of_a_sweep_is_collected_as_a_run(runs, tmp_path):
+    sweep = tmp_path / "sweeps" / ALONE
+    setting = sweep / "lr=0.001"
+    shutil.copytree(runs / ALONE, setting)
+    about = json.loads((setting / "config.json").read_text())
+    (sweep / "config.json").write_text(json.dumps(about))
+    run = setting_as_run(setting, tmp_path / "runs")
+    changed = json.loads((run / "config.json").read_text())["config"]
+    assert changed["lr"] == 0.001 and changed["num_seeds"] == 2
+    rows, before = read_rows(run / "curve.jsonl"), read_rows(runs / ALONE / "curve.jsonl")
+    assert [row["env_steps"] for row in rows] == [row["env_steps"] for row in before]
+    assert rows[-1]["return"] == pytest.approx(before[-1]["return"])
+    (found,) = collecting.find(collecting.CollectConfig((tmp_path / "runs",), commit="c" * 40))
+    assert found.training["num_seeds"] == 2 and not found.continued
+
+
+def test_what_is_no_setting_is_refused(runs, tmp_path):
+    with pytest.raises(SettingError, match="no setting of a sweep"):
+        setting_as_run(runs / ALONE, tmp_path)

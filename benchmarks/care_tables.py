@@ -152,19 +152,26 @@ def rough(folder: Path = RESULTS) -> str:
 
 
 def tapered(folder: Path = RESULTS) -> str:
-    """Whom shipped policies dress where the arm tapers as in Assistive Gym, and in Assistive Gym itself."""
-    here = {x["env"]: x for x in read_results("evaluation", ("env",), folder)}
-    there = {x["env"]: x for x in read_results("in_assistive_gym", ("env",), folder)}
+    """Whom policies dress where the arm tapers as in Assistive Gym, and in Assistive Gym itself."""
+    keys = ("env", "policy_commit")
+    here = {(x["env"], x.get("policy_commit")): x for x in read_results("evaluation", keys, folder)}
+    runs = read_results("in_assistive_gym", ("env", "commit"), folder)
+    there = {(x["env"], x["commit"]): f"{x['successes']} of {x['episodes']}" for x in runs}
+
+    def policy(x: Line) -> tuple[str, str]:
+        return x["env"], x["policy_commit"]
+
     columns = {
         "environment": ORDER,
-        "success": lambda x: f"{here[x['env']]['success']:.0%}",
+        "trained among arms that taper": lambda x: (
+            f"{x.get('policy_changes', {}).get('task.tapered_arms', 0.0):.0%} of the episodes"
+        ),
+        "success": lambda x: f"{here[policy(x)]['success']:.0%}",
         "with arms that taper": lambda x: f"{x['success']:.0%} of {x['episodes']}",
         "of the arm's length in the sleeve at the end, then": lambda x: f"{x['task/covered']:.0%}",
-        "in Assistive Gym": lambda x: (
-            f"{there[x['env']]['successes']} of {there[x['env']]['episodes']}"
-        ),
+        "in Assistive Gym": lambda x: there.get(policy(x), ""),
     }
-    return table(read_results("tapered", ("env",), folder, changed=True), columns, ORDER, "Mode;")
+    return table(read_results("tapered", keys, folder, changed=True), columns, ORDER, "Mode;")
 
 
 def _how_far(line: Line) -> str:

@@ -115,6 +115,7 @@ def main(
             **human,
             policy_commit=trained.get("commit"),
             policy_env_steps=trained.get("env_steps"),
+            **({"policy_changes": trained["changes"]} if trained.get("changes") else {}),
             **({"other_than_in_training": otherwise} if otherwise else {}),
             seed=config.seed,
             deterministic=not config.non_det,

@@ -23,7 +23,9 @@ _SLOW: dict[str, Any] = _TOUCH | {"lr": 5e-4, "gamma": 0.99, "gae_lambda": 0.95}
 # Every place of an itch, and every tilt of a head, wants another motion.
 _LARGE: dict[str, Any] = {"policy_hidden": (512, 256, 128), "value_hidden": (512, 512)}
 
-# With wide exploration the water is spilled, and not pouring is learned first.
+# With wide exploration the water is spilled, and not pouring is learned first. But if the noise falls before the first drop was
+# drunk, pouring is never learned: the floor is above what the noise begins with. Measured with a passive person and Jaco, Sawyer
+# and Baxter; PR2 and pairs were trained with 0.35.
 _POUR: dict[str, Any] = (
     _SLOW
     | _LARGE
@@ -31,7 +33,7 @@ _POUR: dict[str, Any] = (
         "init_noise_std": 0.5,
         "entropy_coef": 0.003,
         "entropy_decay_share": 0.4,
-        "noise_floor": 0.35,
+        "noise_floor": 0.6,
     }
 )
 
@@ -49,15 +51,13 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "BedBathing": _MANY_STROKES,
     "Feeding": _SLOW,
     "Drinking": _POUR,
-    # of 12 seeds of these two (passive person), 7 learn to pour instead of 3, although it is more than the noise begins with;
-    # PR2 and Baxter were not trained so, and pairs take the settings of their robot
-    "DrinkingJaco": _POUR | {"noise_floor": 0.6},
-    "DrinkingSawyer": _POUR | {"noise_floor": 0.6},
     "Dressing": _SLOW,
     # without the entropy bonus the tool learns to press on the arm instead of getting beneath it
     "ArmManipulation": _TOUCH
     | {"lr": 1.2e-3, "gamma": 0.995, "gae_lambda": 0.95, "entropy_coef": 0.01},
     "Reaching": _TOUCH | {"lr": 3e-4},
+    # its hand has to come from the side: the worst of four seeds learns that in 55 % of episodes instead of 5 %
+    "ReachingJaco": _TOUCH | {"lr": 3e-4, "noise_floor": 0.4},
 }
 
 # What a CPU changes besides. There a step of learning with large networks takes longer than a step of the environment.

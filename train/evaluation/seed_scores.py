@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -110,7 +111,7 @@ def score_seeds(
     deterministic: bool = True,
     gently: bool = False,
 ) -> SeedScores:
-    """Run the same episodes with the policy of each seed.
+    """Run the same episodes with the policy of each seed, and tell the success of each on stderr.
 
     Args:
         evaluator: evaluator of the environment.
@@ -119,4 +120,9 @@ def score_seeds(
         deterministic: act by the mode of the policies' distributions.
         gently: rank seeds by gentle success.
     """
-    return SeedScores({s: evaluator(p, key, deterministic) for s, p in policies.items()}, gently)
+    results = {}
+    for seed, policy in policies.items():
+        results[seed] = found = evaluator(policy, key, deterministic)
+        done = f"{len(results)} of {len(policies)} seeds"
+        print(f"{done}: seed {seed} succeeds in {found.success:.1%}", file=sys.stderr, flush=True)
+    return SeedScores(results, gently)

@@ -21,8 +21,23 @@ GENTLE, GROUP, PAIR = 0.9, 0.8, 0.95
 """Goals: of gentle success with a passive person, of success in each group, and of a pair's success."""
 
 
+def _usual(folder: Path) -> dict[str, Line]:
+    """What the policies that ship achieve with Assistive Gym's two bodies, by environment."""
+    lines = read_results("evaluation", ("env", "policy"), folder)
+    return {x["env"]: x for x in lines if x["policy"] == "mode"}
+
+
 def _lines(folder: Path) -> list[Line]:
-    return read_results("everybody", ("env",), folder, changed=True)
+    """Results among people of every size; ``former`` is what is said of a policy that does not ship any more."""
+    usual = _usual(folder)
+
+    def former(line: Line) -> str:
+        now = usual.get(line["env"], {}).get("policy_commit")
+        then = line.get("policy_commit")
+        return "" if not (now and then) or now.startswith(then[:7]) else " (a former policy)"
+
+    lines = read_results("everybody", ("env",), folder, changed=True)
+    return [x | {"former": former(x)} for x in lines]
 
 
 def _large_groups(line: Line) -> list[Line]:
@@ -37,8 +52,7 @@ def _group(line: Line, of: str) -> str:
 
 def everybody(folder: Path = RESULTS) -> str:
     """Success and gentle success of shipped policies among people of every size, and of the group that fares worst."""
-    lines = read_results("evaluation", ("env", "policy"), folder)
-    known = {x["env"]: x for x in lines if x["policy"] == "mode"}
+    known = _usual(folder)
 
     def usual(line: Line) -> str:
         return f"{known[line['env']]['success']:.1%}" if line["env"] in known else ""
@@ -47,7 +61,7 @@ def everybody(folder: Path = RESULTS) -> str:
         "environment": ORDER,
         "episodes": lambda x: f"{x['episodes']:,}",
         "Assistive Gym's two bodies": usual,
-        "every size": lambda x: f"{x['success']:.1%}",
+        "every size": lambda x: f"{x['success']:.1%}{x['former']}",
         "worst group": lambda x: _group(x, "success"),
         "gently": lambda x: f"{x['gentle_success']:.1%}",
         "worst group, gently": lambda x: _group(x, "gentle_success"),
@@ -58,11 +72,7 @@ def everybody(folder: Path = RESULTS) -> str:
 def shortfalls(folder: Path = RESULTS) -> str:
     """Environments below their goal: how often the task fails, how often it is done roughly, for whom, and where."""
     every_size = {x["env"]: x for x in _lines(folder)}
-    robots = [
-        x
-        for x in read_results("evaluation", ("env", "policy"), folder)
-        if x["policy"] == "mode" and x["env"] in every_size
-    ]
+    robots = [x for name, x in _usual(folder).items() if name in every_size]
     pairs = [
         x
         for x in read_results("crossplay", ("env", "human_policy"), folder)
@@ -70,11 +80,14 @@ def shortfalls(folder: Path = RESULTS) -> str:
     ]
 
     def missed(line: Line) -> bool:
-        least = min(_large_groups(every_size[line["env"]]), key=itemgetter("success"))
+        every = every_size[line["env"]]
+        known = every if not every["former"] else line
+        least = min(_large_groups(known), key=itemgetter("success"))
         return line["gentle_success"] < GENTLE or least["success"] < GROUP
 
     def elsewhere(line: Line) -> str:
-        return _group(every_size[line["env"]], "success") if line["env"] in every_size else ""
+        every = every_size.get(line["env"])
+        return _group(every, "success") + every["former"] if every else ""
 
     def region(line: Line) -> str:
         found = line["region_over_comfort"]
@@ -98,7 +111,7 @@ def care(folder: Path = RESULTS) -> str:
     """How far the tasks got in the units of care, and how long it took."""
     columns = {
         "environment": ORDER,
-        "at the end of the episode, mean": _how_far,
+        "at the end of the episode, mean": lambda x: _how_far(x) + x["former"],
         "time to success, median": lambda x: f"{x['time_to_success']:.1f} s",
     }
     return table(_lines(folder), columns, ORDER, "Mode;")
@@ -163,8 +176,8 @@ def tapered(folder: Path = RESULTS) -> str:
 
     columns = {
         "environment": ORDER,
-        "trained among arms that taper": lambda x: (
-            f"{x.get('policy_changes', {}).get('task.tapered_arms', 0.0):.0%} of the episodes"
+        "episodes with such arms in training": lambda x: (
+            f"{x.get('policy_changes', {}).get('task.tapered_arms', 0.0):.0%}"
         ),
         "success": lambda x: f"{here[policy(x)]['success']:.0%}",
         "with arms that taper": lambda x: f"{x['success']:.0%} of {x['episodes']}",

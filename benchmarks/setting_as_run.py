@@ -59,9 +59,10 @@ def setting_as_run(setting: Path, folder: Path) -> Path:
         raise SettingError(f"{run} exists. Choose another folder.")
     seeds = seed_folders(setting)
     about = json.loads(path.read_text())
-    about["config"] |= setting_of(setting.name) | {
-        "num_seeds": len(seeds), "seed": min(seeds), "save_dir": str(folder),
-    }  # fmt: skip
+    about["config"] |= {"num_seeds": len(seeds), "seed": min(seeds), "save_dir": str(folder)}
+    for name, value in setting_of(setting.name).items():
+        switch = isinstance(about["config"].get(name), bool)
+        about["config"][name] = bool(value) if switch else value
     curves = [read_rows(seed / "curve.jsonl") for seed in seeds.values()]
     by_step: dict[int, list[dict[str, object]]] = {}  # a seed that diverged has fewer rows
     for row in (row for curve in curves for row in curve):

@@ -136,8 +136,12 @@ def select(
     """Evaluate all policies, choose the best, and evaluate it again."""
     gently = had_limit(Path(config.run)) if config.by == "auto" else config.by == "gentle"
     key = jax.random.PRNGKey(config.seed)
-    scores = score_seeds(evaluator, policies, key, gently=gently)
+    scores = score_seeds(evaluator, policies, key, gently=gently, report=_say)
     return scores, evaluator(policies[scores.best], jax.random.PRNGKey(config.report_seed))
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 def measure_shipped(

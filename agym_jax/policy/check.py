@@ -18,6 +18,7 @@ FLAGS = {
     "human": "--human-policy, and an id whose person acts (...Human-v0)",
     "joint": "--policy alone, and the id it was trained in",
 }
+MEANT = "where the policy is meant to run"
 
 
 def train_command(env_name: str) -> str:
@@ -132,6 +133,8 @@ def trained_otherwise(policy: AnyPolicy, env: Any) -> str:
     policies = (policy.robot, policy.human) if isinstance(policy, Pair) else (policy,)
     ours = getattr(env, "changes", {})
     told = [
-        describe(meant_for(x.info), ours, "in training") for x in policies if isinstance(x, Policy)
+        describe(meant_for(x.info), ours, MEANT if "meant_for" in x.info else "in training")
+        for x in policies
+        if isinstance(x, Policy)
     ]
     return "; ".join(dict.fromkeys(filter(None, told)))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,8 +109,9 @@ def score_seeds(
     key: jax.Array,
     deterministic: bool = True,
     gently: bool = False,
+    report: Callable[[str], None] | None = None,
 ) -> SeedScores:
-    """Run the same episodes with the policy of each seed, and tell the success of each on stderr.
+    """Run the same episodes with the policy of each seed.
 
     Args:
         evaluator: evaluator of the environment.
@@ -119,10 +119,14 @@ def score_seeds(
         key: determines the episodes.
         deterministic: act by the mode of the policies' distributions.
         gently: rank seeds by gentle success.
+        report: called with the success of each seed in words, as soon as it is known.
     """
-    results = {}
+    results: dict[int, EvaluationResult] = {}
     for seed, policy in policies.items():
         results[seed] = found = evaluator(policy, key, deterministic)
-        done = f"{len(results)} of {len(policies)} seeds"
-        print(f"{done}: seed {seed} succeeds in {found.success:.1%}", file=sys.stderr, flush=True)
+        gentle = "" if found.gentle_success is None else f", gently in {found.gentle_success:.1%}"
+        if report:
+            report(
+                f"{len(results)} of {len(policies)}: seed {seed} succeeds in {found.success:.1%}{gentle}"
+            )
     return SeedScores(results, gently)

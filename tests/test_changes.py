@@ -166,8 +166,14 @@ def test_a_policy_meets_other_people_for_other_lengths():
     policy = agym_jax.load_policy(NAME, env)
     with pytest.raises(PolicyEnvironmentError, match=r"humans.impairments is the default there"):
         check_policy(policy, env, NAME)
-    said = "episode_length is the default in training, 50 here; humans.impairments is the default in training, ['tremor'] here"
+    # trained with people of both kinds of size, for the id as it is
+    assert policy.info["changes"] and policy.info["meant_for"] == {}
+    where = "is the default where the policy is meant to run"
+    said = f"episode_length {where}, 50 here; humans.impairments {where}, ['tremor'] here"
     assert trained_otherwise(policy, env) == said
+    plain = dataclasses.replace(policy, info=policy.info | {"changes": {}})
+    told = "episode_length is the default in training, 50 here; humans.impairments is the default in training, ['tremor'] here"
+    assert trained_otherwise(plain, env) == told
     zero = baseline_policy("zero", 7)
     assert trained_otherwise(Pair(policy, zero, 21), env) == said
     assert trained_otherwise(zero, env) == ""

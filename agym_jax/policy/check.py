@@ -132,9 +132,11 @@ def trained_otherwise(policy: AnyPolicy, env: Any) -> str:
     """
     policies = (policy.robot, policy.human) if isinstance(policy, Pair) else (policy,)
     ours = getattr(env, "changes", {})
-    told = [
-        describe(meant_for(x.info), ours, MEANT if "meant_for" in x.info else "in training")
-        for x in policies
-        if isinstance(x, Policy)
-    ]
+
+    def differ(info: Mapping[str, Any]) -> str:
+        meant = meant_for(info)
+        as_trained = meant == info.get("changes", {})
+        return describe(meant, ours, "in training" if as_trained else MEANT)
+
+    told = [differ(x.info) for x in policies if isinstance(x, Policy)]
     return "; ".join(dict.fromkeys(filter(None, told)))

@@ -306,6 +306,21 @@ def test_a_setting_of_a_sweep_is_collected_as_a_run(runs, tmp_path):
     assert found.training["num_seeds"] == 2 and not found.continued
 
 
+def test_of_a_seed_that_diverged_the_curve_has_the_rows_it_made(runs, tmp_path):
+    setting = tmp_path / ALONE / "use_linear_lr_decay=0"
+    shutil.copytree(runs / ALONE, setting)
+    shutil.copy(runs / ALONE / "config.json", setting.parent)
+    curve = setting / "seed_2" / "curve.jsonl"
+    curve.write_text(curve.read_text().splitlines()[0] + "\n")
+    run = setting_as_run(setting, tmp_path / "runs")
+    rows = read_rows(run / "curve.jsonl")
+    assert [rows[0]["num_seeds"], rows[-1]["num_seeds"]] == [2, 1]
+    settings = json.loads((run / "config.json").read_text())["config"]
+    assert settings["use_linear_lr_decay"] is False
+    with pytest.raises(SettingError, match="exists"):
+        setting_as_run(setting, tmp_path / "runs")
+
+
 def test_what_is_no_setting_is_refused(runs, tmp_path):
     with pytest.raises(SettingError, match="no setting of a sweep"):
         setting_as_run(runs / ALONE, tmp_path)

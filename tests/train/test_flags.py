@@ -154,6 +154,7 @@ def test_a_run_of_other_settings_is_not_continued(tmp_path, capsys, restored_set
     assert "Differs from training" not in capsys.readouterr().out
     line = json.loads(same.read_text())
     assert line["changes"] == {"episode_length": 10} and "other_than_in_training" not in line
+    assert line["policy_changes"] == {"episode_length": 10}
 
 
 @pytest.mark.parametrize(

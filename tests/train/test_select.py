@@ -105,7 +105,9 @@ def test_the_chosen_seed_is_reported_over_other_episodes_and_ready_for_use(runs,
     assert (line["chosen_over"], line["reported_over"]) == (2001, 1001)
     chosen = read_policy(long / "policy.npz")
     assert chosen.info["seed"] == line["chosen"]
-    assert f"Chosen: seed {line['chosen']}" in capsys.readouterr().out
+    told = capsys.readouterr()
+    assert f"Chosen: seed {line['chosen']}" in told.out
+    assert f"3 of 3: seed 3 succeeds in {of_seeds[3]:.1%}" in told.err
     assert select.main([str(long), "--seed", "1001"], make) == 2
     assert "must not be reported on the episodes" in capsys.readouterr().err
 

@@ -140,7 +140,7 @@ class LearnConfig(EnvFlags):
     """Initial standard deviation of "normal"."""
     noise_floor: float = 0.0
     """Smallest standard deviation of "normal" in the first half of the run, decaying to zero afterwards: exploration has to
-    continue until rare successes are found."""
+    continue until rare successes are found. For policies that can do the task already (--robot-policy), choose 0."""
     noise_ceiling: float = 0.0
     """Largest standard deviation of "normal" at the end of the run, decreasing to it from 1 by equal factors; 0 = no bound.
     Policies are evaluated without noise; this lets them learn to act so. For policies that can do the task already

@@ -152,6 +152,7 @@ def test_actions_of_another_shape_are_refused():
         env.step(env.reset(_keys()), jnp.zeros((BATCH, 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_an_environment_steps_to_what_it_was_reset_to(static_env):
     env = brax_wrappers.EvalWrapper(wrap_for_brax_training(static_env))

@@ -30,6 +30,7 @@ def still(env: PettingZooEnv) -> dict[str, np.ndarray]:
     return {agent: np.zeros(env.action_space(agent).shape, np.float32) for agent in env.agents}
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_pettingzoos_own_test_passes(env):
     with warnings.catch_warnings():

@@ -290,6 +290,7 @@ def test_what_went_on_with_a_policy_is_told_apart_from_what_began_with_nothing(r
     assert row.startswith(f"| {ALONE} | 2 x 0.00096 M |") and row.endswith("| 50.0% |")
 
 
+@pytest.mark.slow
 def test_a_setting_of_a_sweep_is_collected_as_a_run(runs, tmp_path):
     sweep = tmp_path / "sweeps" / ALONE
     setting = sweep / "lr=0.001"
@@ -306,6 +307,7 @@ def test_a_setting_of_a_sweep_is_collected_as_a_run(runs, tmp_path):
     assert found.training["num_seeds"] == 2 and not found.continued
 
 
+@pytest.mark.slow
 def test_of_a_seed_that_diverged_the_curve_has_the_rows_it_made(runs, tmp_path):
     setting = tmp_path / ALONE / "use_linear_lr_decay=0"
     shutil.copytree(runs / ALONE, setting)
@@ -321,6 +323,7 @@ def test_of_a_seed_that_diverged_the_curve_has_the_rows_it_made(runs, tmp_path):
         setting_as_run(setting, tmp_path / "runs")
 
 
+@pytest.mark.slow
 def test_what_is_no_setting_is_refused(runs, tmp_path):
     with pytest.raises(SettingError, match="no setting of a sweep"):
         setting_as_run(runs / ALONE, tmp_path)

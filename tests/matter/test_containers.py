@@ -123,6 +123,7 @@ def turned(angle: Callable[[np.ndarray], np.ndarray]) -> Path_of:
 DIRECTIONS = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0.5, 0.6))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "tilt", "time"), [("spoon", 0.0, 20), ("spoon", 11.0, 20), ("spoon", 20.0, 20), ("cup", 0.0, 4), ("cup", 10.0, 4)])  # fmt: skip
 def test_resting_vessel_spills_nothing(moves: Any, name: str, tilt: float, time: float) -> None:
     """For food as long as an episode; the number of particles is constant."""

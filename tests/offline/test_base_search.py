@@ -290,6 +290,7 @@ def test_goals_inside_the_robots_own_body_do_not_count(monkeypatch: pytest.Monke
     assert counted == all_of_them
 
 
+@pytest.mark.slow
 def test_search_is_reproducible():
     task, robot = ScratchHere(), ROBOTS["Jaco"]
     (a, _), (b, _), (c, _) = (search(task, robot, seed=s, size=4) for s in (0, 0, 1))

@@ -213,6 +213,7 @@ def test_settled_people_match_assistive_gym(name: str, sex: int):
             assert abs(mean - values[sex]) < 15, (key, mean, values[sex])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TASKS)
 def test_people_of_ag_sizes_lie_as_recorded(name: str):
     recorded = bed_postures.read_recorded(TRACES / f"settled_{name}.npz")

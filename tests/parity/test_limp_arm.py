@@ -20,6 +20,7 @@ def rows() -> dict:
     return {row.quantity: row for row in limp_arm.rows()}
 
 
+@pytest.mark.slow
 def test_rows_hold_or_name_a_deviation(rows):
     assert_rows_hold_or_name_a_deviation(rows.values())
 

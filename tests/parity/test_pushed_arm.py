@@ -17,6 +17,7 @@ def mine() -> pushed_arm.Paths:
     return pushed_arm.ours("ag")
 
 
+@pytest.mark.slow
 def test_rows_hold_or_name_a_deviation():
     assert_rows_hold_or_name_a_deviation(pushed_arm.rows())
 

@@ -170,6 +170,7 @@ def test_a_robot_that_holds_still_spills_nothing(name: str):
     assert np.linalg.norm(moved - moved.mean(axis=0), axis=-1).max() < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 def test_a_scripted_spoon_feeds_all_there_is():
     state, _, total = play(env_of("FeedingSawyer-v0"), jax.random.PRNGKey(4))

@@ -183,6 +183,7 @@ def test_a_central_critic_reads_both_and_a_policy_never_does():
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(run.learner.agents))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "central",
     [

@@ -142,6 +142,7 @@ def spoil(monkeypatch, *lost):
     monkeypatch.setattr(SideBySide, "hyper", hyper)
 
 
+@pytest.mark.slow
 def test_a_seed_that_diverges_is_stopped_and_harms_no_other(monkeypatch, tmp_path):
     config = PPOConfig(**SETTINGS | {"save_dir": str(tmp_path)}, num_seeds=3)
     sound = ppo.train(FakeEnv(), dataclasses.replace(config, save_dir=None))

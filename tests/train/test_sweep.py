@@ -27,6 +27,7 @@ def weights(policy):
     return np.concatenate([np.ravel(x) for x in jax.tree.leaves(policy.weights)])
 
 
+@pytest.mark.slow
 def test_each_setting_learns_as_it_would_alone_and_the_better_one_comes_first():
     settings = parse_grid(["lr=1e-6,5e-3", "gamma=0.9"])
     result = sweep(FakeEnv(), CONFIG, settings, 2)

@@ -91,7 +91,6 @@ def test_fields_written_per_person_are_those_of_a_fresh_compilation(static_env, 
         assert inertia.min() > 0.5 and inertia.max() < 2.0
 
 
-@pytest.mark.slow
 @pytest.mark.jit
 def test_kinematics_of_different_people_are_c_mujocos(batch: CompiledBatch, rollout: Rollout):
     state = rollout.last

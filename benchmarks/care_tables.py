@@ -11,7 +11,7 @@ import numpy as np
 
 from agym_jax.registry import parse
 from benchmarks.limit_curves import limit_in_words, lines_of
-from benchmarks.markdown import RESULTS, Line, percent, read_results, table
+from benchmarks.markdown import RESULTS, Line, former, percent, read_results, table
 from train.evaluation.outcome import in_words
 from train.evaluation.people import LEAST
 from train.evaluation.statistics import iqm
@@ -31,13 +31,12 @@ def _lines(folder: Path) -> list[Line]:
     """Results among people of every size; ``former`` is what is said of a policy that does not ship any more."""
     usual = _usual(folder)
 
-    def former(line: Line) -> str:
+    def said(line: Line) -> str:
         now = usual.get(line["env"], {}).get("policy_commit")
-        then = line.get("policy_commit")
-        return "" if not (now and then) or now.startswith(then[:7]) else " (a former policy)"
+        return former(now, line.get("policy_commit"))
 
     lines = read_results("everybody", ("env",), folder, changed=True)
-    return [x | {"former": former(x)} for x in lines]
+    return [x | {"former": said(x)} for x in lines]
 
 
 def _large_groups(line: Line) -> list[Line]:

@@ -83,6 +83,11 @@ def is_earlier(line: Line) -> bool:
     )
 
 
+def former(now: str | None, then: str | None) -> str:
+    """What is said of a result whose policy (trained at ``then``) is not the one that ships (``now``); empty if it is, or unknown."""
+    return "" if not (now and then) or now.startswith(then[:7]) else " (a former policy)"
+
+
 def about(lines: Sequence[Line]) -> str:
     """On what, with which commits and when the lines were measured, and whether the physics was the present one."""
     kinds = list(dict.fromkeys(line["device"]["kind"] for line in lines))

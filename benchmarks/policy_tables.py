@@ -15,6 +15,7 @@ from benchmarks.markdown import (
     NOTHING,
     RESULTS,
     Line,
+    former,
     grid,
     mark,
     matrix,
@@ -275,15 +276,14 @@ def in_assistive_gym(folder: Path = RESULTS) -> str:
     def share(x: Line) -> float:
         return x["successes"] / x["episodes"]
 
-    def ships(x: Line) -> bool:
-        now = here[x["env"]].get("policy_commit") or x["commit"]
-        return now.startswith(x["commit"][:7])
+    def said(x: Line) -> str:
+        return former(here[x["env"]].get("policy_commit"), x["commit"])
 
     def there(x: Line) -> str:
-        return f"{x['successes']} of {x['episodes']}{'' if ships(x) else ' (a former policy)'}"
+        return f"{x['successes']} of {x['episodes']}{said(x)}"
 
     def ratio(x: Line) -> str:
-        return f"{share(x) / here[x['env']]['success']:.0%}" if ships(x) else ""
+        return "" if said(x) else f"{share(x) / here[x['env']]['success']:.0%}"
 
     columns = {
         "environment": lambda x: x["env"],

@@ -21,6 +21,7 @@ from typing import Annotated
 import tyro
 
 from agym_jax.errors import AgymError
+from train.errors import reports_errors
 from train.runs.curve import combine_rows
 from train.runs.overview import read_rows
 from train.select import seed_folders
@@ -74,14 +75,11 @@ def setting_as_run(setting: Path, folder: Path) -> Path:
     return run
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(SettingConfig, prog="python -m benchmarks.setting_as_run", args=arguments)
-    try:
-        print(setting_as_run(config.setting, config.folder))
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
+    print(setting_as_run(config.setting, config.folder))
     return 0
 
 

@@ -24,7 +24,7 @@ _SLOW: dict[str, Any] = _TOUCH | {"lr": 5e-4, "gamma": 0.99, "gae_lambda": 0.95}
 _LARGE: dict[str, Any] = {"policy_hidden": (512, 256, 128), "value_hidden": (512, 512)}
 
 # With wide exploration the water is spilled, and not pouring is learned first. But if the noise falls before the first drop has been
-# drunk, pouring is never learned: the floor is above what the noise begins with. Measured with a passive person and Jaco, Sawyer
+# drunk, pouring is seldom learned: the floor is above what the noise begins with. Measured with a passive person and Jaco, Sawyer
 # and Baxter; PR2 and pairs were trained with 0.35.
 _POUR: dict[str, Any] = (
     _SLOW

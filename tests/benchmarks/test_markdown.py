@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from agym_jax import list_envs
-from benchmarks.markdown import CHANGES, dates, is_earlier
+from benchmarks.markdown import CHANGES, dates, former, is_earlier
 
 
 def test_every_change_of_the_physics_is_explained_and_of_some_environment():
@@ -35,3 +35,8 @@ def test_a_result_is_of_the_physics_of_its_time(env, time, earlier):
     assert is_earlier({"env": env, "time": time}) is earlier
     theirs = {"kind": "in-assistive-gym", "env": env, "time": time}
     assert not is_earlier(theirs)  # our changes do not change Assistive Gym
+
+
+def test_what_another_training_made_is_a_former_policy():
+    assert former("abcdef0123", "abcdef0") == "" == former(None, "abc")
+    assert former("abcdef0123", "1234567") == " (a former policy)"

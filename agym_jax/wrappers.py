@@ -27,8 +27,10 @@ class VectorEnv:
     """A batch of copies of one environment; ``reset`` and ``step`` are pure functions.
 
     When an episode ends, ``step`` returns the first observation of the next episode in ``obs``, and the last
-    observation of the old one in ``info["final_observation"]``. ``info["truncation"]`` is 1.0 where the episode
-    ended because it reached its length, as all of Assistive Gym's do, rather than because of the NaN guard. If the
+    observation of the old one in ``info["final_observation"]``. ``info["truncation"]`` is 1.0 where an episode
+    ended: at its length, as all of Assistive Gym's do, or because the simulation diverged (``metrics["nan"]``). The
+    final observation is then the one before that step. Taken for a termination, whose value is 0, it would be worth
+    more than the negative rewards that it avoids, and policies learn to make it happen. If the
     task has a ``privileged_obs``, the state's corresponds to ``obs``, and ``info["final_privileged_obs"]`` to
     ``final_observation``.
     """
@@ -83,12 +85,10 @@ class VectorEnv:
             ArgumentError: if the state does not belong to this batch.
         """
         self._check_shapes(state, action)
-        info = state.info
+        info, before = state.info, state
         state = jax.vmap(self.env.step)(state.replace(info={}), action)
         finished = state.done > 0
-        failed = state.metrics["nan"] > 0
-        truncation = (finished & ~failed).astype(jnp.float32)
-        info = info | _final(state) | {"truncation": truncation}
+        info = info | _final(state, before) | {"truncation": finished.astype(jnp.float32)}
         state = jax.lax.cond(
             jnp.any(finished),
             lambda s: jax.vmap(self.env.reset_where)(s, finished),
@@ -198,10 +198,9 @@ class NativeVectorEnv(VectorEnv):
                 return fields, (finished + part.start, fresh)
 
         steps, resets = zip(*self._pool.map(step, *zip(*self._slots, strict=True)), strict=True)
-        state = moved(state, _joined(steps))
-        failed = state.metrics["nan"] > 0
-        truncation = ((state.done > 0) & ~failed).astype(np.float32)
-        info = state.info | _final(state) | {"truncation": truncation}
+        before, state = state, moved(state, _joined(steps))
+        truncation = (state.done > 0).astype(np.float32)
+        info = state.info | _final(state, before, np) | {"truncation": truncation}
         return begun(state, [x for x in resets if x]).replace(info=info)
 
 
@@ -210,11 +209,16 @@ def _joined(parts: Any) -> Any:
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
 
-def _final(state: Any) -> dict[str, Array]:
-    """Return the observations at the end of a step, before any reset."""
+def _final(state: Any, before: Any = None, xp: Any = jnp) -> dict[str, Array]:
+    """Return the observations at the end of a step, before any reset; where the simulation diverged, those before the step."""
     final = {"final_observation": state.obs}
-    privileged = state.privileged_obs
-    return final if privileged is None else final | {"final_privileged_obs": privileged}
+    if state.privileged_obs is not None:
+        final["final_privileged_obs"] = state.privileged_obs
+    if before is None:
+        return final
+    names = {"final_observation": "obs", "final_privileged_obs": "privileged_obs"}
+    failed = xp.asarray(state.metrics["nan"])[:, None] > 0
+    return {name: xp.where(failed, getattr(before, names[name]), x) for name, x in final.items()}
 
 
 def vectorize(env: Any, num_envs: int) -> VectorEnv:

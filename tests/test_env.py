@@ -368,7 +368,10 @@ def test_an_environment_that_breaks_ends_its_episode_and_recovers(
     after, clean = batch.step(broken, action), batch.step(rollout.first, action)
     np.testing.assert_array_equal(after.done, ~healthy)
     np.testing.assert_array_equal(after.metrics["nan"], ~healthy)
-    np.testing.assert_array_equal(after.info["truncation"], 0.0)  # it did not end by its length
+    np.testing.assert_array_equal(after.info["truncation"], ~healthy)  # not a termination worth 0
+    final = after.info["final_observation"]
+    np.testing.assert_array_equal(final[sick], rollout.first.obs[sick])  # what can be seen last
+    np.testing.assert_array_equal(final[healthy], after.obs[healthy])
     assert after.reward[sick] == 0.0
     np.testing.assert_array_equal(after.reward[healthy], clean.reward[healthy])
     np.testing.assert_array_equal(after.obs[healthy], clean.obs[healthy])

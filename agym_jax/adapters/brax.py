@@ -68,7 +68,7 @@ class BraxTrainingEnv(Wrapper):
     ``state.info`` contains ``steps``, ``truncation``, ``episode_done`` and ``episode_metrics`` as written by Brax's
     ``EpisodeWrapper``. ``state.metrics`` are chosen such that Brax's sums over an episode are meaningful: the reward
     terms; ``success``, 1 at the last step of a successful episode; ``force/..._per_step`` [N], which Brax converts to
-    means; and counts of ``nan`` and ``overflow``.
+    means; and counts of ``nan`` and ``overflow``. An episode whose simulation diverged counts as truncated.
 
     Args:
         env: environment from ``agym_jax.make``.
@@ -160,7 +160,6 @@ class BraxTrainingEnv(Wrapper):
         total = lambda x: jnp.sum(jnp.where(going, x, 0.0), axis=0)  # noqa: E731
 
         steps = jnp.where(state.done > 0, 0.0, info["steps"]) + self.action_repeat
-        failed = jnp.any(metrics["nan"] > 0, axis=0)
         over = jnp.any(done > 0, axis=0) | (steps >= self.episode_length)
         done, reward = over.astype(jnp.float32), total(reward)
         metrics = {
@@ -174,7 +173,7 @@ class BraxTrainingEnv(Wrapper):
             **info,
             "steps": steps,
             "truncation": jnp.zeros_like(done),
-            self._limit: done * ~failed,
+            self._limit: done,
             "episode_done": done,
             "episode_metrics": totals,
         }

@@ -59,8 +59,8 @@ def _programs(recipe: Recipe) -> _Programs:
 class GymnasiumEnv(gymnasium.Env):
     """A single environment with Gymnasium's interface.
 
-    Episodes are truncated after 200 steps (``episode_length``), like all of Assistive Gym's; they terminate only if
-    the physics fails. ``info`` has Assistive Gym's keys and the reward terms.
+    Episodes are truncated after 200 steps (``episode_length``), like all of Assistive Gym's, or when the simulation
+    diverges; they never terminate. ``info`` has Assistive Gym's keys and the reward terms.
 
     ``copy.deepcopy`` and ``pickle`` preserve the state of the episode and the generator of future episodes: a copy
     continues as the original would, and neither affects the other, so a planner can try out actions in copies. Copies
@@ -176,10 +176,8 @@ class GymnasiumEnv(gymnasium.Env):
         self._state = self._programs.step(self._state, action)
         s = self._state
         obs, reward, done, metrics = jax.device_get((s.obs, s.reward, s.done, s.metrics))
-        terminated = bool(metrics["nan"] > 0)
-        truncated = bool(done > 0) and not terminated
-        self._over = terminated or truncated
-        return np.array(obs), float(reward), terminated, truncated, self._info(metrics)
+        self._over = bool(done > 0)
+        return np.array(obs), float(reward), False, self._over, self._info(metrics)
 
     def render(self) -> np.ndarray | None:
         """Return an image, uint8 (height, width, 3), or None if made without a render mode."""

@@ -27,7 +27,8 @@ from agym_jax.registry import parse
 class PettingZooEnv(ParallelEnv):
     """A single environment in which both robot and person act, with PettingZoo's interface.
 
-    Episodes are truncated for both agents after 200 steps (``episode_length``); they terminate only if the physics fails.
+    Episodes are truncated for both agents after 200 steps (``episode_length``), or when the simulation diverges; they
+    never terminate.
 
     Args:
         env_id: environment id with ``Human`` in it, see ``agym_jax.list_envs()``.

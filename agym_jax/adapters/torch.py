@@ -149,8 +149,8 @@ class TorchVectorEnv:
                 infinity act as 0.
 
         Returns:
-            Observations (num_envs, n_obs), rewards (num_envs,), whether episodes terminated because the physics failed, and
-            whether they were truncated at their length, bool (num_envs,). The info has ``final_observation``
+            Observations (num_envs, n_obs), rewards (num_envs,), whether episodes terminated (none does), and whether they
+            were truncated, at their length or because the simulation diverged, bool (num_envs,). The info has ``final_observation``
             (num_envs, n_obs) and ``metrics``, with the reward terms, forces and ``success`` under the names used in
             ``State.metrics``, each (num_envs,).
 

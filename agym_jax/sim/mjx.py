@@ -15,6 +15,7 @@ from jax import Array
 from agym_jax.compat import lapack_batches, mjx_quat, mjx_trace
 from agym_jax.compat.mjx_print import mjx
 from agym_jax.compat.warp_kernels import compile_kernels, wait_for_kernels
+from agym_jax.compat.warp_newton import rebuild_hessians
 from agym_jax.compat.warp_streams import hold_streams
 from agym_jax.math3d import rotation_matrix
 from agym_jax.sense import Motion
@@ -204,6 +205,7 @@ def put_model(model: mujoco.MjModel, impl: str) -> Any:
         return mjx.put_model(model, impl=impl)
     model.opt.iterations, model.opt.ls_iterations = WARP_ITERATIONS, WARP_LS_ITERATIONS
     hold_streams()
+    rebuild_hessians()
     from agym_jax.compat import warp_sensors  # imports Warp
 
     options = {"warn_overflow": WARP_LOST}  # no print for iteration limits

@@ -113,7 +113,8 @@ def test_one_that_breaks_does_not_stop_the_others(env: agym_jax.Env):
     after = venv.step(state.replace(data=broken), action)
     np.testing.assert_array_equal(after.metrics["nan"], [0, 1, 0])
     np.testing.assert_array_equal(after.done, [0, 1, 0])
-    np.testing.assert_array_equal(after.info["truncation"], 0)
+    np.testing.assert_array_equal(after.info["truncation"], [0, 1, 0])
+    np.testing.assert_array_equal(after.info["final_observation"][1], state.obs[1])
     np.testing.assert_array_equal(after.obs[[0, 2]], sound.obs[[0, 2]])
     assert np.isfinite(after.obs).all() and after.episode.step[1] == 0
     np.testing.assert_array_equal(state.data.numbers, numbers)

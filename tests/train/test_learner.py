@@ -94,6 +94,21 @@ def test_a_time_limit_does_not_matter_to_a_value_function_that_is_right():
     np.testing.assert_allclose(advantages_of(ended, [worth])[5], -GAMMA * worth, rtol=1e-5)
 
 
+@pytest.mark.parametrize("length", [None, 20])
+def test_a_simulation_that_diverges_is_no_way_out_of_negative_rewards(length):
+    # Reward -1 for ever. In steps 2 and 5 the simulation diverges: reward 0, and a new episode begins.
+    steps, worth = 12, -1 / (1 - GAMMA)
+    failed = np.zeros((steps, 1))
+    failed[[2, 5]] = 1  # the second one is more than ``length`` lets expect
+    same = np.full((steps, 1), worth)
+    batch = make_batch(same, failed - 1.0, failed, failed, same)
+    gains = advantages_of(batch, [worth], episode_length=length)
+    np.testing.assert_allclose(gains[failed > 0], 1.0, rtol=1e-5)  # the one reward it was spared
+    # Taken for a termination, it would be spared all that follows.
+    ended = dataclasses.replace(batch, truncation=jnp.zeros_like(batch.truncation))
+    np.testing.assert_allclose(advantages_of(ended, [worth])[failed > 0], -worth, rtol=1e-5)
+
+
 @pytest.mark.parametrize("length", [4, 9, 20])
 def test_only_last_observations_of_episodes_are_read(length):
     rng = np.random.default_rng(0)

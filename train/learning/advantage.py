@@ -87,7 +87,8 @@ def values_of(
     read = batch.obs if batch.critic_obs is None else batch.critic_obs
     values = value(jnp.concatenate([read, last[None], ends.critic_obs]))
     values, after, final = jnp.split(values, [len(read), len(read) + 1])
-    final = jnp.zeros_like(values).at[ends.step, jnp.arange(len(last))].set(final)
+    # of what was truncated more often than by length, what the step started from: its simulation diverged
+    final = values.at[ends.step, jnp.arange(len(last))].set(final)
     final = jnp.where(batch.truncation > 0, final, 0.0)
     following = jnp.concatenate([values[1:], after])
     return values, jnp.where(batch.done > 0, final, following)

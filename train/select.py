@@ -58,8 +58,9 @@ class SelectConfig:
     """Seed of the episodes used to choose among the run's seeds."""
     report_seed: int = 1001
     """Seed of the episodes used to report the results of the chosen seed."""
-    by: Literal["auto", "success", "gentle"] = "auto"
-    """What the best seed has most of: successes or gentle successes; "auto": gentle successes if the run had a --cost-limit."""
+    by: Literal["auto", "success", "gentle", "both"] = "auto"
+    """What the best seed has most of: successes, gentle successes, or the sum of both; "auto": gentle successes if the run had a
+    --cost-limit, else successes."""
     default_settings: bool = False
     """Evaluate in the environment with its default settings, regardless of those of the training, and mark the chosen policy as
     meant for it. For runs that were trained with more varied people or robots than the environment has."""
@@ -134,9 +135,10 @@ def select(
     evaluator: Evaluator, policies: dict[int, AnyPolicy], config: SelectConfig
 ) -> tuple[SeedScores, EvaluationResult]:
     """Evaluate all policies, choose the best, and evaluate it again."""
-    gently = had_limit(Path(config.run)) if config.by == "auto" else config.by == "gentle"
+    usual = "gentle" if had_limit(Path(config.run)) else "success"
+    by = usual if config.by == "auto" else config.by
     key = jax.random.PRNGKey(config.seed)
-    scores = score_seeds(evaluator, policies, key, gently=gently, report=_say)
+    scores = score_seeds(evaluator, policies, key, by=by, report=_say)
     return scores, evaluator(policies[scores.best], jax.random.PRNGKey(config.report_seed))
 
 
@@ -209,7 +211,7 @@ def main(
             "selection",
             **scores.summary(),
             chosen=scores.best,
-            chosen_gently=scores.gently,
+            chosen_by=scores.by,
             reported=summary,
             shipped=ships.summary() if ships else None,
             shipped_unfit=unfit,

@@ -72,8 +72,9 @@ def test_seeds_can_be_ranked_by_gentle_success():
         )
         for (seed, x), over in zip(found.results.items(), harsh, strict=True)
     }
-    assert SeedScores(results).best == 5 and SeedScores(results, gently=True).best == 6
-    assert SeedScores(found.results, gently=True).best == 5  # where it is not measured
+    assert SeedScores(results).best == 5 and SeedScores(results, "gentle").best == 6
+    assert SeedScores(results, "both").best == 5  # 1.0 + 0.5, and 0.75 + 0.75 with fewer successes
+    assert SeedScores(found.results, "gentle").best == 5  # where it is not measured
     assert SeedScores(results).summary()["gentle_success_of_seeds"] == [0.5, 0.75]
     assert "gentle  75.0%" in SeedScores(results).table()
 
@@ -83,12 +84,12 @@ def test_a_run_with_a_cost_limit_is_chosen_by_gentle_success(tmp_path, capsys):
     limited = dataclasses.replace(SHORT, save_dir=str(tmp_path), cost_limit=1.0)
     run = str(train(FakePressEnv(), limited).folder)
     make_press = lambda name, impl: FakePressEnv(name=name)  # noqa: E731
-    for more, gently in (([], True), (["--by", "success"], False)):
-        out = tmp_path / f"{gently}.jsonl"
+    for more, by in (([], "gentle"), (["--by", "success"], "success"), (["--by", "both"], "both")):
+        out = tmp_path / f"{by}.jsonl"
         words = [run, "--num-episodes", "8", "--json", str(out), *more]
         assert select.main(words, make_press) == 0
         line = json.loads(out.read_text())
-        assert line["chosen_gently"] is gently and 0 <= line["chosen_gentle_success"] <= 1
+        assert line["chosen_by"] == by and 0 <= line["chosen_gentle_success"] <= 1
 
 
 def test_the_chosen_seed_is_reported_over_other_episodes_and_ready_for_use(runs, tmp_path, capsys):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -15,6 +15,8 @@ from .evaluator import Evaluator
 from .score import EvaluationResult
 from .statistics import bootstrap_interval, iqm
 
+Measure = Literal["success", "gentle", "both"]
+
 
 @dataclass(frozen=True)
 class SeedScores:
@@ -22,11 +24,12 @@ class SeedScores:
 
     Attributes:
         results: seed -> its evaluation, on the same episodes.
-        gently: whether seeds are ranked by gentle success; if that is not measured, by success.
+        by: what seeds are ranked by: success, gentle success, or the sum of both; if gentle success is not measured, by
+            success.
     """
 
     results: Mapping[int, EvaluationResult]
-    gently: bool = False
+    by: Measure = "success"
 
     @property
     def successes(self) -> np.ndarray:
@@ -40,18 +43,21 @@ class SeedScores:
 
     @property
     def best(self) -> int:
-        """The seed with the most (gentle) successes; ties are broken by the highest return."""
+        """The first seed by this measure; ties are broken by success, then by the return."""
         return max(self.results, key=self._rank)
 
     @property
     def worst(self) -> int:
-        """The seed with the fewest (gentle) successes; ties are broken by the lowest return."""
+        """The last seed by this measure; ties are broken by success, then by the return."""
         return min(self.results, key=self._rank)
 
     def _rank(self, seed: int) -> tuple[float, float, float]:
         found = self.results[seed]
-        gentle = found.gentle_success if self.gently else None
-        first = found.success if gentle is None else gentle
+        gentle = found.gentle_success
+        if self.by == "success" or gentle is None:
+            first = found.success
+        else:
+            first = gentle if self.by == "gentle" else found.success + gentle
         return first, found.success, float(found.returns.mean())
 
     def table(self) -> str:
@@ -108,7 +114,7 @@ def score_seeds(
     policies: Mapping[int, AnyPolicy],
     key: jax.Array,
     deterministic: bool = True,
-    gently: bool = False,
+    by: Measure = "success",
     report: Callable[[str], None] | None = None,
 ) -> SeedScores:
     """Run the same episodes with the policy of each seed.
@@ -118,7 +124,7 @@ def score_seeds(
         policies: seed -> policy.
         key: determines the episodes.
         deterministic: act by the mode of the policies' distributions.
-        gently: rank seeds by gentle success.
+        by: what seeds are ranked by.
         report: called with the success of each seed in words, as soon as it is known.
     """
     results: dict[int, EvaluationResult] = {}
@@ -129,4 +135,4 @@ def score_seeds(
             report(
                 f"{len(results)} of {len(policies)}: seed {seed} succeeds in {found.success:.1%}{gentle}"
             )
-    return SeedScores(results, gently)
+    return SeedScores(results, by)

@@ -60,7 +60,9 @@ class CollectConfig:
     least: float = 0.4
     """Success from which a policy ships where none does."""
     ship: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID ...")] = ()
-    """Ids whose chosen policy ships although the one that ships has more successes. The documentation has to say why."""
+    """Ids whose chosen policy ships although the one that ships is better. The documentation has to say why."""
+    keep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID ...")] = ()
+    """Ids whose policy stays although the chosen one is better. The documentation has to say why."""
     dry: bool = False
     """Say what would be done, and change nothing."""
 
@@ -124,9 +126,11 @@ def find(config: CollectConfig) -> list[Found]:
                 "num_envs": training["num_envs"], "commit": commit,
             }  # fmt: skip
             found.append(Found(run, choice | about, training))
-    if unknown := {*config.ship} - {x.run.name for x in found}:
+    if unknown := {*config.ship, *config.keep} - {x.run.name for x in found}:
         there = ", ".join(x.run.name for x in found) or "none"
-        raise CollectError(f"--ship names {', '.join(sorted(unknown))}. Runs to collect: {there}.")
+        raise CollectError(
+            f"--ship and --keep name {', '.join(sorted(unknown))}. Runs to collect: {there}."
+        )
     if not found:
         raise CollectError(
             f"{', '.join(map(str, config.runs))} has no runs with selection.jsonl, config.json and curve.jsonl."
@@ -244,6 +248,8 @@ def collect(found: Found, config: CollectConfig) -> tuple[bool, str]:
     ships, why = decide(found, config.least)
     if name in config.ship and not reported(choice)["overflow"]:
         ships, why = True, f"--ship; {why}"
+    if name in config.keep:
+        ships, why = False, f"--keep; {why}"
     if not config.dry:
         about = {name: found.training[name] for name in ABOUT}
         if found.gentle or found.continued:

@@ -242,8 +242,14 @@ def ship(found: Found) -> Line:
     return info
 
 
-def collect(found: Found, config: CollectConfig) -> tuple[bool, str]:
-    """Keep one run; returns whether its policy ships now, and a line about it."""
+def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tuple[bool, str]:
+    """Keep one run; returns whether its policy ships now, and a line about it.
+
+    Args:
+        found: the run.
+        config: flags.
+        replaced: whether the policy that its choice was compared with ships no more.
+    """
     name, choice = found.run.name, found.choice
     ships, why = decide(found, config.least)
     if name in config.ship and not reported(choice)["overflow"]:
@@ -262,7 +268,7 @@ def collect(found: Found, config: CollectConfig) -> tuple[bool, str]:
         summary = reported(choice)
         if ships:
             info = ship(found)
-        elif (POLICIES / f"{name}.npz").is_file() and choice.get("shipped"):
+        elif (POLICIES / f"{name}.npz").is_file() and choice.get("shipped") and not replaced:
             summary, info = choice["shipped"], dict(read_policy(POLICIES / f"{name}.npz").info)
         if info:
             put(*evaluation(found, summary, info), ("env", "time", "policy", "human_policy"))
@@ -281,7 +287,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         new = []
         for found in find(config):
-            ships, text = collect(found, config)
+            ships, text = collect(found, config, found.run.name in new)
             new += [found.run.name] * ships
             print(text, flush=True)
     except AgymError as error:

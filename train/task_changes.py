@@ -24,8 +24,8 @@ _SLOW: dict[str, Any] = _TOUCH | {"lr": 5e-4, "gamma": 0.99, "gae_lambda": 0.95}
 _LARGE: dict[str, Any] = {"policy_hidden": (512, 256, 128), "value_hidden": (512, 512)}
 
 # With wide exploration the water is spilled, and not pouring is learned first. But if the noise falls before the first drop has been
-# drunk, pouring is seldom learned: the floor is above what the noise begins with. Measured with a passive person and Jaco, Sawyer
-# and Baxter; PR2 and pairs were trained with 0.35.
+# drunk, pouring is seldom learned: the floor is above what the noise begins with. Measured with a passive person; pairs were
+# trained with 0.35.
 _POUR: dict[str, Any] = (
     _SLOW
     | _LARGE
@@ -36,6 +36,8 @@ _POUR: dict[str, Any] = (
         "noise_floor": 0.6,
     }
 )
+
+_ELBOW: dict[str, Any] = _SLOW | {"gamma": 0.995, "entropy_coef": 0.004}
 
 _STROKES: dict[str, Any] = _TOUCH | {"ppo_epoch": 8, "num_mini_batch": 16}
 _MANY_STROKES: dict[str, Any] = (
@@ -49,9 +51,14 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "ScratchItchJaco": _MANY_STROKES | {"entropy_decay_share": 1.0},
     "ScratchItchPR2": _MANY_STROKES | {"entropy_decay_share": 1.0},
     "BedBathing": _MANY_STROKES,
+    # eight seeds: interquartile mean 40 % of the people with 10 M steps, instead of 7 % with 12 M
+    "BedBathingPR2": _MANY_STROKES | {"lr": 2.5e-4, "entropy_coef": 0.012},
     "Feeding": _SLOW,
     "Drinking": _POUR,
     "Dressing": _SLOW,
+    # seeds that fail pull the sleeve to the elbow and stay there: a longer horizon and more noise lead more of them around it
+    "DressingJaco": _ELBOW,
+    "DressingPR2": _ELBOW,
     # without the entropy bonus the tool learns to press on the arm instead of getting beneath it
     "ArmManipulation": _TOUCH
     | {"lr": 1.2e-3, "gamma": 0.995, "gae_lambda": 0.95, "entropy_coef": 0.01},

@@ -138,8 +138,11 @@ def test_what_ships_is_replaced_by_what_is_better(shipped_there, ours, ships, ru
     assert line["success"] == (ours if ships else shipped_there) and line["commit"] == "c" * 40
     config = collecting.CollectConfig((runs,), only=(ALONE,), ship=(ALONE,))
     assert all(collecting.collect(found, config)[0] for found in collecting.find(config))
+    before = (repository / "results" / "evaluation.jsonl").read_text()
     kept = dataclasses.replace(config, ship=(), keep=(ALONE,))
-    assert not any(collecting.collect(found, kept)[0] for found in collecting.find(kept))
+    for found in collecting.find(kept):  # its choice tells of a policy that ships no more
+        assert not collecting.collect(found, kept, replaced=True)[0]
+    assert (repository / "results" / "evaluation.jsonl").read_text() == before
     with pytest.raises(
         collecting.CollectError, match=f"--ship and --keep name Wrong-v0. Runs to collect: {ALONE}"
     ):

@@ -28,9 +28,9 @@ class VectorEnv:
 
     When an episode ends, ``step`` returns the first observation of the next episode in ``obs``, and the last
     observation of the old one in ``info["final_observation"]``. ``info["truncation"]`` is 1.0 where an episode
-    ended: at its length, as all of Assistive Gym's do, or because the simulation diverged (``metrics["nan"]``). The
-    final observation is then the one before that step. Taken for a termination, whose value is 0, it would be worth
-    more than the negative rewards that it avoids, and policies learn to make it happen. If the
+    ended: at its length, as all of Assistive Gym's do, or because the simulation diverged (``metrics["nan"]``). After a
+    divergence, the final observation is the one before that step. If a divergence counted as a termination, which is
+    worth 0, it would spare a policy the negative rewards that follow, and policies learn to cause it. If the
     task has a ``privileged_obs``, the state's corresponds to ``obs``, and ``info["final_privileged_obs"]`` to
     ``final_observation``.
     """

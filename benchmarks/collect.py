@@ -84,7 +84,10 @@ class Found:
     @property
     def gentle(self) -> bool:
         """Whether it was trained under a cost limit."""
-        return self.training["cost_limit"] is not None
+        limit = self.training.get(
+            "cost_limit"
+        )  # of runs whose settings were lost, the choice tells
+        return limit is not None or bool(self.choice.get("chosen_gently"))
 
     @property
     def continued(self) -> bool:
@@ -194,15 +197,17 @@ def reported(choice: Line) -> Line:
     return kept | {name: choice[name] for name in ("env", "episodes", "nan_episodes", "overflow")}
 
 
-def decide(found: Found, least: float) -> tuple[bool, str]:
-    """Whether the chosen policy is to ship, and why."""
+def decide(found: Found, least: float, replaced: bool = False) -> tuple[bool, str]:
+    """Whether the chosen policy is to ship, and why; ``replaced`` as for ``collect``."""
     name, ours = found.run.name, reported(found.choice)
     if ours["overflow"] or found.choice["overflow"]:
         return False, "contacts were lost: not a result"
     if not (POLICIES / f"{name}.npz").is_file():
         return ours["success"] >= least, f"none ships, at least {least:.0%} wanted"
     theirs, where = found.choice.get("shipped"), "the same people"
-    if found.choice.get("shipped_unfit"):
+    if replaced:
+        theirs, where = recorded().get(name), "its recorded evaluation"
+    elif found.choice.get("shipped_unfit"):
         return ours["success"] >= least, "what ships fits no more"
     if not theirs:
         theirs, where = recorded().get(name), "its recorded evaluation"
@@ -211,9 +216,10 @@ def decide(found: Found, least: float) -> tuple[bool, str]:
     if is_earlier(theirs):
         again = f"python -m benchmarks.shipped --only {name}"
         return False, f"what ships was measured in an earlier physics; again: {again}"
-    gently, theirs_gently = (x.get("gentle_success", 0.0) for x in (ours, theirs))
-    gain = ours["success"] - theirs["success"]
-    ships = gain >= -FOR_GENTLENESS and gain + gently - theirs_gently > 0
+    known = "gentle_success" in ours and "gentle_success" in theirs
+    gently, theirs_gently = (x["gentle_success"] if known else 0.0 for x in (ours, theirs))
+    gain = round(ours["success"] - theirs["success"], 6)  # of shares of some thousand episodes
+    ships = gain >= -FOR_GENTLENESS and round(gain + gently - theirs_gently, 6) > 0
     return ships, (
         f"gently {gently:.1%}; what ships has {theirs['success']:.1%}, gently {theirs_gently:.1%}, over {where}"
     )
@@ -251,7 +257,7 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
         replaced: whether the policy that its choice was compared with ships no more.
     """
     name, choice = found.run.name, found.choice
-    ships, why = decide(found, config.least)
+    ships, why = decide(found, config.least, replaced)
     if name in config.ship and not reported(choice)["overflow"]:
         ships, why = True, f"--ship; {why}"
     if name in config.keep:

@@ -46,7 +46,7 @@ def wrap_for_brax_training(
         action_repeat: number of control steps for which every action is held.
         randomization_fn: not supported; use ``humans`` of ``agym_jax.make`` instead.
         bootstrap_on_timeout: the same value as that passed to ``brax.training.agents.ppo.train.train``; set it with
-            ``functools.partial``. If true, time limits are reported in ``info["time_out"]``, not ``info["truncation"]``.
+            ``functools.partial``. If true, truncations are reported in ``info["time_out"]``, not ``info["truncation"]``.
 
     Raises:
         WrapperError: if the environment is already wrapped or cannot be compiled, a ``randomization_fn`` is given, or

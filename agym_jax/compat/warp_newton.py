@@ -10,7 +10,8 @@ Policies find such states: an episode that ended so was spared all negative rewa
 ArmManipulationJaco learned to press until its simulation diverged: in 16 environments 40 times within 200 steps, in
 C MuJoCo never. With this patch it does not diverge in Warp either.
 
-``tests/compat/test_warp_newton.py`` has the state of such a step; delete this file when it passes without.
+``tests/compat/test_warp_newton.py`` has the state of such a step; delete this file when its
+``test_without_the_patch_it_diverges`` fails.
 """
 
 from __future__ import annotations

@@ -187,10 +187,11 @@ class FakeVectorEnv:
         first = jax.vmap(self.env._first)(after.key)
         kept = {"reward": after.reward, "done": after.done, "metrics": after.metrics}
 
-        def choose(new: jax.Array, old: jax.Array) -> jax.Array:
-            return jnp.where(after.done.reshape(-1, *[1] * (new.ndim - 1)) > 0, new, old)
+        def choose(where: jax.Array, new: Any, old: Any) -> Any:
+            shaped = lambda x: where.reshape(-1, *[1] * (x.ndim - 1)) > 0  # noqa: E731
+            return jax.tree.map(lambda x, y: jnp.where(shaped(x), x, y), new, old)
 
-        ended_by_time = (after.done > 0) & (after.metrics["nan"] == 0)
-        truncation = jnp.where(ended_by_time, 1.0, 0.0)  # weakly typed, as an environment's may be
-        state = jax.tree.map(choose, first, after).replace(**kept)
-        return self._observed(state, after, truncation)
+        truncation = jnp.where(after.done > 0, 1.0, 0.0)  # weakly typed, as an environment's may be
+        last = choose(after.metrics["nan"], bare, after)  # what was seen before a divergence
+        state = choose(after.done, first, after).replace(**kept)
+        return self._observed(state, last, truncation)

@@ -60,7 +60,8 @@ def last_observations(batch: Batch, truncated_every: int | None = None) -> LastO
 
     Args:
         batch: a rollout of T steps of B environments, in the agent's own view.
-        truncated_every: steps between two truncations of an environment at least; None if every step may be one.
+        truncated_every: steps between two truncations of an environment by the length of its episodes; None if every step may
+            be one. Divergences are not counted, see ``values_of``.
     """
     steps = len(batch.truncation)
     most = steps if truncated_every is None else -(-steps // truncated_every)
@@ -87,7 +88,7 @@ def values_of(
     read = batch.obs if batch.critic_obs is None else batch.critic_obs
     values = value(jnp.concatenate([read, last[None], ends.critic_obs]))
     values, after, final = jnp.split(values, [len(read), len(read) + 1])
-    # of what was truncated more often than by length, what the step started from: its simulation diverged
+    # A truncation beyond the K that were read is a divergence: the last observation is the one that the step started from.
     final = values.at[ends.step, jnp.arange(len(last))].set(final)
     final = jnp.where(batch.truncation > 0, final, 0.0)
     following = jnp.concatenate([values[1:], after])

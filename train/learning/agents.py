@@ -118,7 +118,7 @@ class Agents:
         trainer: the command that trains so, as in files and messages.
         losses: names of the scalars that ``learn`` returns.
         episode_length: control steps of an episode.
-        truncated_every: control steps between two truncations of an environment at least; None if that is not known.
+        truncated_every: control steps between two truncations of an environment by length; None if that is not known.
         axes: the leading axes of the learner: none, see ``train.learning.seeds``.
 
     Raises:

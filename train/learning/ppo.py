@@ -255,7 +255,7 @@ def learn(
         config: settings that the program is compiled for: passes, mini-batches, what is normalised.
         networks: from ``make_networks``.
         axis: name of the axis of devices that each have a part of the batch.
-        truncated_every: steps between two truncations of an environment at least; None if that is not known.
+        truncated_every: steps between two truncations of an environment by length; None if that is not known.
 
     Returns:
         State after, and the mean of each of ``LOSSES``; with a cost limit also of ``COST_LOSSES``.

@@ -255,6 +255,7 @@ NETWORKS = partial(
 )
 
 
+@pytest.mark.slow
 def test_brax_ppo_learns():
     seen = {}
     make_policy, params, metrics = ppo.train(

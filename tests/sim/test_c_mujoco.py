@@ -51,6 +51,7 @@ def _close(mine: Any, theirs: Any, atol: float) -> None:
 
 
 @pytest.mark.jit
+@pytest.mark.slow
 def test_the_same_key_begins_the_same_episode_as_in_mjx(native: agym_jax.Env, batch: CompiledBatch):
     states = batch.reset(jax.random.PRNGKey(0))
     for i, key in enumerate(jax.random.split(jax.random.PRNGKey(0), BATCH)):
@@ -118,14 +119,10 @@ def test_every_step_of_a_pressing_robot_is_mjxs(native: agym_jax.Env, batch: Com
 
 # two arms, a bed, an active person, and one with a welded body
 @pytest.mark.jit
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
-    [
-        "BedBathingSawyer-v0",
-        pytest.param(ACTIVE, marks=pytest.mark.slow),
-        pytest.param("ArmManipulationBaxter-v0", marks=pytest.mark.slow),
-        pytest.param("ReachingPR2-v0", marks=pytest.mark.slow),
-    ],
+    ["BedBathingSawyer-v0", ACTIVE, "ArmManipulationBaxter-v0", "ReachingPR2-v0"],
 )
 def test_every_kind_of_environment_begins_as_in_mjx_and_steps(name: str):
     env, mjx = agym_jax.make(name, impl="native"), agym_jax.make(name, impl="jax")

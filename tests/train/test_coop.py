@@ -165,6 +165,7 @@ def test_given_the_batch_learning_does_not_depend_on_the_other_networks(central,
     assert same_bytes([losses[n] for n in own], [changed[n] for n in own])
 
 
+@pytest.mark.slow
 def test_a_central_critic_reads_both_and_a_policy_never_does():
     agents, learner, batch, last = updated(dataclasses.replace(SMALL, central_critic=True))
     for agent in agents.agents:

@@ -185,14 +185,18 @@ def test_the_entropy_bonus_fades_where_it_is_asked_to():
     rows = np.random.default_rng(0).normal(size=(5, 4))
     batch = make_batch(rows, rows, rows * 0, rows * 0, rows)
 
+    config = PPOConfig(policy_hidden=(8,), value_hidden=(8,), num_mini_batch=1, ppo_epoch=2,
+                       distribution="normal", use_linear_lr_decay=False)  # fmt: skip
+    arch = architecture(config, 1, 1)
+    begun, _ = init_agent(arch, jax.random.PRNGKey(1))
+    key, last = jax.random.PRNGKey(2), batch.obs[-1]
+    updated = jax.jit(
+        lambda agent, hyper: learn(agent, batch, last, key, hyper, config, make_networks(arch))
+    )
+
     def after(step: int, **settings):
-        config = PPOConfig(policy_hidden=(8,), value_hidden=(8,), num_mini_batch=1, ppo_epoch=2,
-                           distribution="normal", use_linear_lr_decay=False, **settings)  # fmt: skip
-        arch = architecture(config, 1, 1)
-        agent, _ = init_agent(arch, jax.random.PRNGKey(1))
-        agent = dataclasses.replace(agent, env_steps=jnp.uint32(step))
-        agent, _ = learn(agent, batch, batch.obs[-1], jax.random.PRNGKey(2), Hyper.of(config, 100),
-                         config, make_networks(arch))  # fmt: skip
+        agent = dataclasses.replace(begun, env_steps=jnp.uint32(step))
+        agent, _ = updated(agent, Hyper.of(dataclasses.replace(config, **settings), 100))
         return jax.tree.leaves(agent.params)
 
     def same(a, b):

@@ -140,7 +140,7 @@ class LearnConfig(EnvFlags):
     """Initial standard deviation of "normal"."""
     noise_floor: float = 0.0
     """Smallest standard deviation of "normal" in the first half of the run, decaying to zero afterwards: exploration has to
-    continue until rare successes are found. For policies that can do the task already (--robot-policy), choose 0."""
+    continue until rare successes are found. With --robot-policy, which can do the task already, 0 by default."""
     noise_ceiling: float = 0.0
     """Largest standard deviation of "normal" at the end of the run, decreasing to it from 1 by equal factors; 0 = no bound.
     Policies are evaluated without noise; this lets them learn to act so. For policies that can do the task already
@@ -271,16 +271,23 @@ LEAST_SAMPLES = 80
 """Smallest mini-batch, if ``num_mini_batch`` would divide a small batch into smaller ones."""
 
 
-def config_for(env_name: str, kind: type[Config] = PPOConfig, platform: str = "gpu") -> Config:
+def config_for(
+    env_name: str,
+    kind: type[Config] = PPOConfig,
+    platform: str = "gpu",
+    continues: bool = False,
+) -> Config:
     """Return the default settings of an environment: the base with the changes of its task and, on a CPU, of CPUs.
 
     Args:
         env_name: environment id, such as ``"ScratchItchJaco-v0"``; an id of an unknown task gets the base settings.
         kind: class of the settings.
         platform: JAX's name of the device kind: "cpu", "gpu", "tpu".
+        continues: whether training starts from a policy, which need not find out what succeeds.
     """
     changes = _of(TASK_CHANGES, env_name, {})
     changes = changes | (_of(CPU_CHANGES, env_name, {}) if platform == "cpu" else {})
+    changes = changes | ({"noise_floor": 0.0} if continues else {})
     return dataclasses.replace(kind(), env_name=env_name, task=task_config(env_name), **changes)
 
 
@@ -297,7 +304,7 @@ def parse_arguments(
     prog: str | None = None,
     platform: str = "gpu",
 ) -> Config:
-    """Parse settings from command-line arguments; defaults depend on the environment they name and on the device kind."""
+    """Parse settings; defaults depend on the device kind, and on the environment and the policy to start from that they name."""
     does = {
         PPOConfig: "Train a robot policy with PPO.",
         CoopConfig: "Train a robot policy and a person policy together, with a common reward.",
@@ -309,8 +316,15 @@ def parse_arguments(
         f"those of the environment named by --env-name ({kind.env_name} if it is left out); add --env-name ID before "
         f"--help to see those of another one.",
         args=list(arguments),
-        default=config_for(env_name_in(arguments, kind.env_name), kind, platform),
+        default=config_for(
+            env_name_in(arguments, kind.env_name), kind, platform, names_policy(arguments)
+        ),
     )
+
+
+def names_policy(arguments: Sequence[str]) -> bool:
+    """Return whether command-line arguments contain ``--robot-policy``."""
+    return "--robot-policy" in [word.partition("=")[0].replace("_", "-") for word in arguments]
 
 
 def first_paragraph(doc: str | None) -> str:

@@ -204,7 +204,8 @@ def main(
     """Run the command line and return the exit status."""
     flags = parse_flags(SweepConfig, arguments, prog, plain(__doc__))
     settings = parse_grid(flags.grid, flags.random, flags.seed)
-    config = config_for(flags.env_name, platform=jax.default_backend())
+    continues = flags.robot_policy is not None
+    config = config_for(flags.env_name, platform=jax.default_backend(), continues=continues)
     config = dataclasses.replace(
         config, seed=flags.seed, impl=flags.impl, save_dir=flags.save_dir, robot_policy=flags.robot_policy,
         num_envs=flags.num_envs or config.num_envs, num_env_steps=flags.num_env_steps or config.num_env_steps,

@@ -188,3 +188,12 @@ def test_value_functions_come_first_where_a_policy_goes_on():
         PPOConfig(value_warm_up=2.0)
     with pytest.raises(ConfigError, match=r"--robot-policy .* use agym-jax coop"):
         PPOConfig(robot_policy="shipped", allow_joint_observation=True)
+
+
+@pytest.mark.parametrize("kind", [PPOConfig, CoopConfig])
+def test_a_training_that_starts_from_a_policy_has_no_noise_floor_unless_it_is_asked_for(kind):
+    words = ["--env-name", "DrinkingJacoHuman-v0"]
+    assert parse_arguments(words, kind).noise_floor > 0
+    for start in (["--robot-policy", "shipped"], ["--robot_policy=policy.npz"]):
+        assert parse_arguments([*words, *start], kind).noise_floor == 0
+        assert parse_arguments([*words, *start, "--noise-floor", "0.3"], kind).noise_floor == 0.3

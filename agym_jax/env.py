@@ -46,7 +46,7 @@ from agym_jax.sim.pictures import markers_of, picture_model, write_pose
 from agym_jax.sim.scene import build_scene
 from agym_jax.sim.sensing import ContactSums, motion_at_rest, no_contacts, sense
 from agym_jax.spec import Loaded, Privileged, RobotSpec, Task
-from agym_jax.state import Episode, State, limited_by_brax, raw_key, select, strong
+from agym_jax.state import Episode, State, last_seen, limited_by_brax, raw_key, select, strong
 from agym_jax.variation import RobotVariation, checked_variation, sample_robot, sensed_by
 
 MAX_SPEED = 1e3
@@ -230,7 +230,7 @@ class AssistiveEnv:
         episode = dataclasses.replace(
             state.episode, human_target=targets.hold, step=clock, sent=targets.sent
         )
-        return limited_by_brax(state.replace(data=data, episode=episode, **after))
+        return limited_by_brax(last_seen(state, state.replace(data=data, episode=episode, **after)))
 
     def _control_targets(
         self, episode: Episode, data: Any, task: Any, action: Array
@@ -268,7 +268,7 @@ class AssistiveEnv:
         rewards = {k: jnp.where(bad, 0.0, v) for k, v in rewards.items()}
         after = {
             "task": task,
-            "obs": jnp.where(bad, 0.0, obs),
+            "obs": obs,
             "privileged_obs": privileged_obs,
             "quats": jnp.where(bad, quats_before, quats),
             "reward": jnp.asarray(sum(rewards.values())),

@@ -137,7 +137,22 @@ def moved(state: State, fields: dict[str, Any]) -> State:
     clock = {name: fields.pop(name) for name in MOVING}
     metrics = {**state.metrics, **fields.pop("metrics")}
     episode = dataclasses.replace(state.episode, **clock)
-    return state.replace(episode=episode, metrics=metrics, **fields)
+    return last_seen(state, state.replace(episode=episode, metrics=metrics, **fields), np)
+
+
+def last_seen(before: State, after: State, xp: Any = jnp) -> State:
+    """Return the state after a step, with the observations before it where the simulation diverged: what was seen last.
+
+    Args:
+        before: state of one environment or of a batch.
+        after: the same after the step.
+        xp: ``jax.numpy`` or ``numpy``.
+    """
+    failed = xp.asarray(after.metrics["nan"])[..., None] > 0
+    names = ("obs",) if after.privileged_obs is None else ("obs", "privileged_obs")
+    return after.replace(
+        **{name: xp.where(failed, getattr(before, name), getattr(after, name)) for name in names}
+    )
 
 
 RESTARTED = ("data", "task", "obs", "privileged_obs", "quats", "episode", "key")

@@ -85,10 +85,10 @@ class VectorEnv:
             ArgumentError: if the state does not belong to this batch.
         """
         self._check_shapes(state, action)
-        info, before = state.info, state
+        info = state.info
         state = jax.vmap(self.env.step)(state.replace(info={}), action)
         finished = state.done > 0
-        info = info | _final(state, before) | {"truncation": finished.astype(jnp.float32)}
+        info = info | _final(state) | {"truncation": finished.astype(jnp.float32)}
         state = jax.lax.cond(
             jnp.any(finished),
             lambda s: jax.vmap(self.env.reset_where)(s, finished),
@@ -198,9 +198,9 @@ class NativeVectorEnv(VectorEnv):
                 return fields, (finished + part.start, fresh)
 
         steps, resets = zip(*self._pool.map(step, *zip(*self._slots, strict=True)), strict=True)
-        before, state = state, moved(state, _joined(steps))
+        state = moved(state, _joined(steps))
         truncation = (state.done > 0).astype(np.float32)
-        info = state.info | _final(state, before, np) | {"truncation": truncation}
+        info = state.info | _final(state) | {"truncation": truncation}
         return begun(state, [x for x in resets if x]).replace(info=info)
 
 
@@ -209,16 +209,11 @@ def _joined(parts: Any) -> Any:
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
 
-def _final(state: Any, before: Any = None, xp: Any = jnp) -> dict[str, Array]:
-    """Return the observations at the end of a step, before any reset; where the simulation diverged, those before the step."""
+def _final(state: Any) -> dict[str, Array]:
+    """Return the observations at the end of a step, before any reset."""
     final = {"final_observation": state.obs}
-    if state.privileged_obs is not None:
-        final["final_privileged_obs"] = state.privileged_obs
-    if before is None:
-        return final
-    names = {"final_observation": "obs", "final_privileged_obs": "privileged_obs"}
-    failed = xp.asarray(state.metrics["nan"])[:, None] > 0
-    return {name: xp.where(failed, getattr(before, names[name]), x) for name, x in final.items()}
+    privileged = state.privileged_obs
+    return final if privileged is None else final | {"final_privileged_obs": privileged}
 
 
 def vectorize(env: Any, num_envs: int) -> VectorEnv:

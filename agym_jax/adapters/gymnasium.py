@@ -173,11 +173,8 @@ class GymnasiumEnv(gymnasium.Env):
             raise gymnasium.error.ResetNeeded(
                 f"{self.core.name}: call reset() to begin an episode."
             )
-        before = self._state.obs
         s = self._state = self._programs.step(self._state, action)
-        arrays = (s.obs, s.reward, s.done, s.metrics, before)
-        obs, reward, done, metrics, before = jax.device_get(arrays)
-        obs = before if metrics["nan"] > 0 else obs  # what could be seen last
+        obs, reward, done, metrics = jax.device_get((s.obs, s.reward, s.done, s.metrics))
         self._over = bool(done > 0)
         return np.array(obs), float(reward), False, self._over, self._info(metrics)
 

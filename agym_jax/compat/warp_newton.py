@@ -2,13 +2,12 @@
 
 MuJoCo Warp keeps it between iterations, and adds or subtracts the rows that an iteration switches on or off, in float32. Rows that
 are switched off leave their rounding errors behind. In ArmManipulation, where the tool is pressed into a bed with rolling
-friction, an iteration began with 116 active rows and a largest eigenvalue of 77,000, and ended with 20 rows and a smallest one
-of 0.0014; an error of 0.009 makes the matrix indefinite, its Cholesky factor NaN, and with it the state of the
+friction, a step began with 116 active rows and a largest eigenvalue of 77,000, and ended with 20 rows and a smallest one
+of 0.0014; float32 rounds the former by 0.009. So the matrix can be indefinite, its Cholesky factor NaN, and with it the state of the
 environment (issue 1415 and pull request 1672 of google-deepmind/mujoco_warp). C MuJoCo computes in float64.
 
 Policies find such states: an episode that ended so was spared all negative rewards to come. One of eight seeds of
-ArmManipulationJaco learned to press until its simulation diverged: in 16 environments 40 times within 200 steps, in
-C MuJoCo never. With this patch it does not diverge in Warp either.
+ArmManipulationJaco learned to press until its simulation diverged (docs/benchmarks.md, "Numerical stability").
 
 ``tests/compat/test_warp_newton.py`` has the state of such a step; delete this file when its
 ``test_without_the_patch_it_diverges`` fails.

@@ -111,8 +111,8 @@ def model() -> mujoco.MjModel:
     return model
 
 
-def of_c_mujoco(model: mujoco.MjModel) -> np.ndarray:
-    data = mujoco.MjData(model)
+def of_c_mujoco(model: mujoco.MjModel, data: mujoco.MjData | None = None) -> np.ndarray:
+    data = data or mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = QPOS, QVEL
     data.qacc_warmstart[:], data.qfrc_applied[:] = WARMSTART, APPLIED
     mujoco.mj_forward(model, data)
@@ -136,6 +136,32 @@ def of_warp(model: mujoco.MjModel) -> np.ndarray:
             setattr(data, name, wp.array(np.ascontiguousarray(all_of_them)))
         mujoco_warp.forward(on_device, data)
         return data.qacc.numpy()
+
+
+def hessian(model: mujoco.MjModel, data: mujoco.MjData, acceleration: np.ndarray) -> np.ndarray:
+    """What Newton's method factorises at an acceleration, in float64."""
+    rows = np.zeros((data.nefc, model.nv))
+    if mujoco.mj_isSparse(model):
+        index = (data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+        mujoco.mju_sparse2dense(rows, data.efc_J, *index)
+    else:
+        rows[:] = data.efc_J.reshape(rows.shape)
+    error = rows @ acceleration - data.efc_aref
+    friction = data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
+    within = np.abs(error) < data.efc_frictionloss * data.efc_R
+    active = rows[np.where(friction, within, error < 0)]
+    weights = data.efc_D[np.where(friction, within, error < 0)]
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    return inertia + active.T @ (weights[:, None] * active)
+
+
+def test_what_rows_leave_behind_in_float32_is_larger_than_the_smallest_eigenvalue(model):
+    data = mujoco.MjData(model)
+    found = of_c_mujoco(model, data)
+    first, last = (np.linalg.eigvalsh(hessian(model, data, x)) for x in (WARMSTART, found))
+    assert first[-1] > 70_000 and 0.001 < last[0] < 0.0015
+    assert first[-1] * np.finfo(np.float32).eps > 6 * last[0]
 
 
 def test_newtons_method_finds_what_c_mujoco_finds(model):

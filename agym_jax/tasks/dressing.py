@@ -8,10 +8,6 @@ DEVIATION(cloth-force): AG's number of the gown's force is 10 times the position
 summed over contacts below 1.1 m and 20 units, with robot and wheelchair among them. Observed and rewarded is what the
 gown presses on the person, the mean over a control step, summed over its vertices [N], times AG_FORCE (with
 ``tapered_arms``, AG_FORCE_TAPERED).
-DEVIATION(gown-start): AG drops the gown before each episode; it hangs like a curtain before the hand, its cuff 5 cm before the
-tip, with the rest of the gown on the lap. Here a gown that hangs still begins swung forward and sideways, by as much as is
-drawn: its cuff is 27 to 35 cm before the tip (10th and 90th percentile of 24 starts), and 13 to 18 cm after it has swung back for 2 s. How far
-is set so that hands which move at once, or high above the arm, miss the sleeve, as their replayed paths do in AG.
 DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor, not the robot. It stays 38 mm away from limbs, which
 are capsules; AG's rests 37 to 40 mm away, pressed to 22 to 30 over the hand. But AG's cloth knows a limb by its distance at points 0.25 m apart, linear
 in between, so that the arm tapers: unpressed, the gown comes as near to the forearm's axis at the elbow as 10 (men) and 3 mm (women). In three of four episodes there
@@ -37,10 +33,11 @@ from agym_jax.furniture import WHEELCHAIR
 from agym_jax.human.body import LEFT_ARM
 from agym_jax.matter.cloth import sleeve
 from agym_jax.matter.cloth import solver as fabrics
-from agym_jax.matter.cloth.garment import Garment, load
-from agym_jax.matter.cloth.hang import settle, swung
+from agym_jax.matter.cloth.garment import GOWN, Garment, load
+from agym_jax.matter.cloth.hang import drawn_swing, settle, swung
 from agym_jax.matter.cloth.obstacles import arm_taper, obstacles
 from agym_jax.matter.cloth.solver import Cloth, ClothContact
+from agym_jax.matter.cloth.starts import Starts, load_starts
 from agym_jax.matter.cloth.topology import GOWN_FABRIC, ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import Capsules
 from agym_jax.observe import column, observation, part
@@ -62,11 +59,6 @@ START = (0.45, -0.3, 1.2)  # of the hand, world [m]: AG dressing.py reset
 START_SPREAD = 0.05  # [m], AG dressing.py reset
 BELOW_HAND = 0.012
 """Distance from the end effector down to the middle of the held patch [m] (AG, recorded: 11 to 12 mm)."""
-BEFORE, BESIDE = (0.08, 0.2), (-0.03, 0.06)
-"""Ranges of how far the gown is initially swung forward of the person's hand, at the height of the hand, and to the person's
-left [m]: the hand is at the opening of the gown, not inside the gown. Seen from the tip of the hand, the cloth fills 0.2 to 0.5
-of all directions (AG: 0.28 to 0.52); AG's cuff is 1 to 5 cm to the left of the gripper. With a gown closer to the hand, hand
-paths that miss the sleeve in AG would dress people here."""
 AG_FORCE = 2.3
 """Value of AG's measure of the gown's force that corresponds to one newton: benchmarks/parity/gown.py."""
 AG_FORCE_TAPERED = 7.0
@@ -89,6 +81,8 @@ class Config:
         dressed: how far it must have moved for success [m].
         tapered_arms: share of the episodes in which the gown meets the arm as AG's cloth does, as two limbs that taper
             towards shoulder, elbow and wrist [1].
+        settled_gown: share of the episodes that begin with the packaged gown as it hung in AG, settled in front of the hand;
+            in the others it swings back to the hand [1].
         preferences: weights of the human-preference terms.
     """
 
@@ -96,18 +90,21 @@ class Config:
     action: float = 0.01  # action_weight
     dressed: float = 0.4  # task_success_threshold
     tapered_arms: float = 0.0  # AG: 1
+    settled_gown: float = 0.0  # AG: 1
     preferences: Preferences = Preferences()
 
     def __post_init__(self) -> None:
         """Reject what is not a share.
 
         Raises:
-            SpecError: if ``tapered_arms`` is not between 0 and 1.
+            SpecError: if ``tapered_arms`` or ``settled_gown`` is not between 0 and 1.
         """
-        if not 0.0 <= self.tapered_arms <= 1.0:
-            raise SpecError(
-                f"Dressing's tapered_arms is a share of the episodes, between 0 and 1; got {self.tapered_arms}."
-            )
+        for name in ("tapered_arms", "settled_gown"):
+            share = getattr(self, name)
+            if not 0.0 <= share <= 1.0:
+                raise SpecError(
+                    f"Dressing's {name} is a share of the episodes, between 0 and 1; got {share}."
+                )
 
 
 @jax.tree_util.register_dataclass
@@ -153,7 +150,7 @@ class Dressing:
     """The task: data for the scene, and pure functions for the environment."""
 
     config: Config = Config()
-    garment: str = "garments/gown.npz"
+    garment: str = GOWN
     fabric: Fabric = GOWN_FABRIC
     name: str = "Dressing"
     cpu_rows: ClassVar[tuple[int, int]] = (1, 2)  # see sim.c_mujoco.ROWS
@@ -201,8 +198,9 @@ class Dressing:
         Raises:
             GarmentError: if it cannot be worn or simulated; the message names the faulty edge, triangle or loop.
             MissingAssetError: if there is no such file.
+            SpecError: if ``settled_gown`` is asked of another gown than the packaged one.
         """
-        _ = self.spec, self.watched
+        _ = self.spec, self.watched, self.starts
 
     @cached_property
     def gown(self) -> Garment:
@@ -223,6 +221,17 @@ class Dressing:
         """Vertex indices of the two triangles that span the cuff (2, 3)."""
         return sleeve.watched_vertices(self.gown)
 
+    @cached_property
+    def starts(self) -> Starts | None:
+        """How the packaged gown hung in AG when episodes began; None if no episode begins so."""
+        if self.config.settled_gown <= 0.0:
+            return None
+        if self.garment != GOWN:
+            raise SpecError(
+                f"Dressing's settled_gown is for the packaged gown, {GOWN}; got {self.config.settled_gown} with {self.garment}."
+            )
+        return load_starts(self.spec.count)
+
     def start(self, key: Array, robot: str) -> Array:
         """Return the start position of the hand, world [m] (1, 3)."""
         noise = jax.random.uniform(key, (1, 3), minval=-START_SPREAD, maxval=START_SPREAD)
@@ -231,30 +240,31 @@ class Dressing:
     def init(self, key: Array, sensed: Sensed) -> DressState:
         """Start with the gown hanging from the gripper, at rest, in front of the person's hand."""
         nowhere, zero = jnp.bool_(False), jnp.float32(0.0)
-        held_w = sensed.tool.pos_w - BELOW_HAND * UP
-        cloth = fabrics.initial(self.spec, held_w)
-        low, high = jnp.array([BESIDE, BEFORE]).T
-        off = jax.random.uniform(key, (2,), minval=low, maxval=high)
-        before = swung(cloth.pos_w, held_w, arm_of(sensed).hand_end_w, off)
-        free = (self.spec.held < 0)[:, None]
+        tapered = jax.random.bernoulli(jax.random.fold_in(key, 1), self.config.tapered_arms)
         state = DressState(
-            cloth=replace(cloth, pos_w=jnp.where(free, before, cloth.pos_w)),
+            cloth=self._hung(key, sensed),
             slid=jnp.zeros(3),
             on_arm=sleeve.SleeveState(nowhere, nowhere),
             dressed=zero,
             best=jnp.float32(-jnp.inf),
             progress=zero,
             force=jnp.zeros(len(TOUCHABLE) + len(BELOW)),
-            tapered=self._draw_tapered(key),
+            tapered=jnp.float32(tapered),
         )
         return self._judge(state, sensed)
 
-    def _draw_tapered(self, key: Array) -> Array:
-        """Return whether the arm of a new episode tapers, 0 or 1 ()."""
-        share = self.config.tapered_arms
-        if share <= 0.0:
-            return jnp.float32(0.0)
-        return jax.random.bernoulli(jax.random.fold_in(key, 1), share).astype(jnp.float32)
+    def _hung(self, key: Array, sensed: Sensed) -> Cloth:
+        """Return the gown as a new episode begins."""
+        hand_w, held_w = arm_of(sensed).hand_end_w, sensed.tool.pos_w - BELOW_HAND * UP
+        cloth = fabrics.initial(self.spec, held_w)
+        pos_w = swung(cloth.pos_w, held_w, hand_w, drawn_swing(key))
+        if self.starts is not None:
+            draw, which = jax.random.split(jax.random.fold_in(key, 2))
+            settled_w = self.starts.draw(which, sensed.tool.pos_w, hand_w)
+            settled = jax.random.bernoulli(draw, self.config.settled_gown)
+            pos_w = jnp.where(settled, settled_w, pos_w)
+        free = (self.spec.held < 0)[:, None]
+        return replace(cloth, pos_w=jnp.where(free, pos_w, cloth.pos_w))
 
     def advance(self, state: DressState, sensed: Sensed) -> tuple[DressState, dict[str, Array]]:
         """Simulate the gown as the hand moves, and measure how far up the arm it is."""

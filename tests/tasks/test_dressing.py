@@ -13,63 +13,30 @@ import numpy as np
 import pytest
 from cloth_scene import Pull, along_forearm, before_hand, draw_pull, pull_on
 from cloth_scene import arm_of as limb_of
-from meal_scene import CHEST, FAR, TORSO, arrays, sensed
+from dress_scene import ELBOW, SHOULDER, WRIST, seen
+from meal_scene import CHEST, TORSO
 
 from agym_jax import observe
 from agym_jax.errors import SpecError
 from agym_jax.human.anthropometry import dims
 from agym_jax.matter.cloth import solver as fabrics
-from agym_jax.matter.cloth.hang import swung
 from agym_jax.matter.cloth.obstacles import ag_taper
-from agym_jax.matter.cloth.sleeve import SleeveState, crossed
+from agym_jax.matter.cloth.sleeve import SleeveState
 from agym_jax.matter.cloth.solver import MAX_SLIP, ClothContact
 from agym_jax.robots import ROBOTS
 from agym_jax.spec import Preferences
 from agym_jax.tasks.dressing import (
     AG_FORCE,
-    ARM_LINKS,
     BELOW_HAND,
     DRESSING,
     START,
     Config,
-    arm_of,
     felt,
     held_at,
 )  # fmt: skip
 
 TASK = DRESSING
-SHOULDER, ELBOW, WRIST = np.array([
-    [0.179, 0.03, 1.0315], [0.4538, 0.03, 0.9831], [0.4538, -0.26, 0.9831]
-])  # of a man, humans.md section 5  # fmt: skip
 HIP = np.array([0.1, -0.02, 0.6])
-
-
-def towards(direction: np.ndarray) -> np.ndarray:
-    """A rotation that takes -z to a direction (3, 3)."""
-    z = -direction / np.linalg.norm(direction)
-    x = np.cross([0.31, 0.5, 0.81], z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], -1)
-
-
-def seen(path: np.ndarray | None = None, **tool):
-    """The man holds his left arm sideways; the hand goes along a path (11, 3) or rests at the start."""
-    path = np.tile(START, (11, 1)) if path is None else path
-    s = sensed({"pos_w": path[-1]} | tool, path=path, limbs_at=FAR + 5.0)
-    places = dict(zip(ARM_LINKS, (SHOULDER, ELBOW, WRIST), strict=True))
-    turns = dict(
-        zip(ARM_LINKS, map(towards, (ELBOW - SHOULDER, WRIST - ELBOW, WRIST - ELBOW)), strict=True)
-    )
-    still = lambda x: np.tile(x, (len(path), *[1] * np.ndim(x)))  # noqa: E731
-    moved = replace(
-        s.motion,
-        link_pos_w=s.motion.link_pos_w | arrays({k: still(v) for k, v in places.items()}),
-        link_rot_w=s.motion.link_rot_w | arrays({k: still(v) for k, v in turns.items()}),
-    )
-    return replace(
-        s, motion=moved, link_pos_w=s.link_pos_w | arrays(places), link_rot_w=s.link_rot_w | arrays(turns),
-        human_angles=jnp.arange(10.0),
-    )  # fmt: skip
 
 
 @cache
@@ -80,54 +47,6 @@ def start():
 @cache
 def advance():
     return jax.jit(TASK.advance)
-
-
-def test_it_begins_hanging_before_the_hand_and_dressing_nobody():
-    state = start()
-    assert not state.on_arm.forearm and not state.on_arm.upper_arm
-    assert -0.42 < float(state.dressed) < -0.05 and state.progress == 0 and not TASK.success(state)
-    held = state.cloth.pos_w[TASK.spec.garment.anchors].mean(0)
-    np.testing.assert_allclose(held, np.array(START) - [0, 0, BELOW_HAND], atol=1e-5)
-    cuff = state.cloth.pos_w[TASK.watched].reshape(6, 3).mean(0)
-    assert 0.1 < np.linalg.norm(cuff - arm_of(seen()).hand_end_w) < 0.4  # AG: 0.08 to 0.15
-
-
-def test_it_begins_with_the_hand_in_the_mouth_of_the_gown():
-    gown, arm = TASK.spec.garment, arm_of(seen())
-    for key, off in enumerate(
-        ([0, 0, 0], [0.05, 0.05, 0.05], [-0.05, 0.05, -0.05], [0.05, -0.05, 0.0])
-    ):
-        held = jnp.array(START) + jnp.array(off)
-        state = TASK.init(jax.random.PRNGKey(key), seen(np.tile(held, (11, 1))))
-        corners = state.cloth.pos_w[gown.triangles]
-        assert not crossed(arm.hand_end_w, arm.elbow_w, corners).any()
-        np.testing.assert_allclose(
-            state.cloth.pos_w[gown.anchors].mean(0), held - jnp.array([0, 0, BELOW_HAND]), atol=1e-5
-        )
-        assert (
-            0.15 < covered(np.asarray(arm.hand_end_w), np.asarray(corners)) < 0.65
-        )  # AG: 0.28 to 0.52
-
-
-def covered(point: np.ndarray, corners: np.ndarray) -> float:
-    """Share of all directions in which triangles (t, 3, 3) lie, their sides counted against each other."""
-    a, b, c = np.moveaxis(corners - point, 1, 0)
-    u, v, w = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-    dot = lambda x, y: (x * y).sum(1)  # noqa: E731
-    part = np.arctan2(
-        dot(a, np.cross(b, c)), u * v * w + dot(a, b) * w + dot(b, c) * u + dot(c, a) * v
-    )
-    return abs(part.sum()) / (2 * np.pi)
-
-
-def test_a_gown_is_swung_to_before_the_hand():
-    held = jnp.array([0.0, 0.0, 1.0])
-    hanging = jnp.array([[0.0, 0.0, 1.0], [0.0, -0.1, 0.8], [0.0, -0.1, 0.6]])
-    far = jnp.array([0.0, 0.3, 0.8])
-    np.testing.assert_allclose(swung(hanging, held, far, jnp.array([0.0, 0.1])), hanging, atol=1e-6)
-    moved = swung(hanging, held, jnp.array([0.5, -0.1, 0.8]), jnp.array([0.04, 0.1])) - hanging
-    np.testing.assert_allclose(moved[:, 0], [0.0, 0.04, 0.04], atol=1e-6)
-    np.testing.assert_allclose(moved[:, 1], [0.0, -0.2, -0.2], atol=1e-6)
 
 
 def test_at_rest_it_only_settles_on_the_hand():
@@ -269,7 +188,8 @@ def test_a_tapering_forearm_is_as_thin_as_assistive_gyms(sex, outside, short):
 def test_arms_taper_in_a_share_of_the_episodes():
     assert TASK.config.tapered_arms == 0 and start().tapered == 0
     some = replace(TASK, config=Config(tapered_arms=0.25))
-    drawn = jax.vmap(some._draw_tapered)(jax.random.split(jax.random.PRNGKey(0), 400))
+    keys, s = jax.random.split(jax.random.PRNGKey(0), 400), seen()
+    drawn = jax.jit(jax.vmap(lambda key: some.init(key, s).tapered))(keys)
     assert set(drawn.tolist()) == {0.0, 1.0} and 0.19 < drawn.mean() < 0.31
     with pytest.raises(SpecError, match=r"between 0 and 1; got 1\.5"):
         Config(tapered_arms=1.5)

@@ -3,6 +3,12 @@
 Assistive Gym drops the gown from its mesh at every reset and lets it settle for 2 s at half the gravity
 (dressing.py reset). Here it settles once, until it is at rest. The packaged gown has its hanging shape in the file;
 a garment without one is settled at first use.
+
+DEVIATION(gown-start): AG drops the gown before each episode; it hangs like a curtain before the hand, its cuff 5 cm before the
+tip, with the rest of the gown on the lap. Here a gown that hangs still begins swung forward and sideways, by as much as is
+drawn: its cuff is 27 to 35 cm before the tip (10th and 90th percentile of 24 starts), and 13 to 18 cm after it has swung back for 2 s. How far
+is set so that hands which move at once, or high above the arm, miss the sleeve, as their replayed paths do in AG. With ``settled_gown``, a share
+of the episodes begins with a gown that hangs as one of 80 hung there.
 """
 
 from __future__ import annotations
@@ -22,6 +28,11 @@ from agym_jax.matter.shapes import Capsules, no_capsules
 DT = 0.01  # physics step [s]
 DURATION = 12.0  # of settling [s]
 DAMPING = 4.0  # of velocities while it settles [1/s]
+BEFORE, BESIDE = (0.08, 0.2), (-0.03, 0.06)
+"""Ranges of how far the gown is initially swung forward of the person's hand, at the height of the hand, and to the person's
+left [m]: the hand is at the opening of the gown, not inside the gown. Seen from the tip of the hand, the cloth fills 0.2 to 0.5
+of all directions (AG: 0.28 to 0.52); AG's cuff is 1 to 5 cm to the left of the gripper. With a gown closer to the hand, hand
+paths that miss the sleeve in AG would dress people here."""
 
 
 def settle(
@@ -47,6 +58,12 @@ def settle(
         return jax.lax.scan(one, initial(spec, jnp.zeros(3)), length=round(DURATION / DT))[0].pos_w
 
     return replace(garment, hanging=np.asarray(hang()))
+
+
+def drawn_swing(key: Array) -> Array:
+    """Draw how far a gown is swung when an episode begins, to the person's left and forward of the hand [m] (2,)."""
+    low, high = jnp.array([BESIDE, BEFORE]).T
+    return jax.random.uniform(key, (2,), minval=low, maxval=high)
 
 
 def swung(pos_w: Array, held_w: Array, hand_w: Array, off: Array) -> Array:

@@ -1,0 +1,71 @@
+"""How the packaged gown hangs in front of a hand when an episode of Assistive Gym begins: shapes that were recorded there.
+
+Assistive Gym drops the gown at every reset and lets it settle for 2 s. Recorded were 80 episodes: where the surface that
+corresponds to the packaged gown was then, seen from the gripper, and the tip of the person's hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from agym_jax.data.assets import asset_path
+from agym_jax.data.npz import read_arrays
+from agym_jax.matter.cloth.garment import GarmentError
+
+STARTS = "garments/gown_starts.npz"
+NEAREST = 4
+"""Of so many recorded gowns, those in front of the most similarly placed hands, one is drawn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """s recorded gowns of n vertices.
+
+    Attributes:
+        vertices: relative to the gripper, world axes [m] (s, n, 3).
+        hand: tip of the person's hand, likewise [m] (s, 3).
+    """
+
+    vertices: np.ndarray
+    hand: np.ndarray
+
+    def draw(self, key: Array, gripper_w: Array, hand_w: Array) -> Array:
+        """Draw a gown that hung in front of a hand at nearly the same place, world [m] (n, 3).
+
+        It lies against the hand: where the hand is a few centimetres farther forward or back, so is the gown at the height of
+        the hand.
+
+        Args:
+            key: of the draw.
+            gripper_w: position of the gripper [m] (3,).
+            hand_w: tip of the person's hand [m] (3,).
+        """
+        away = jnp.asarray(self.hand, jnp.float32) - (hand_w - gripper_w)
+        _, nearest = jax.lax.top_k(-jnp.sum(away * away, -1), NEAREST)
+        which = jax.random.choice(key, nearest)
+        hung = jnp.asarray(self.vertices, jnp.float32)[which]
+        below = jnp.clip(hung[:, 2] / (hand_w - gripper_w)[2], 0.0, 1.0)
+        return gripper_w + hung.at[:, 1].add(-away[which, 1] * below)
+
+
+def load_starts(vertices: int) -> Starts:
+    """Return the recorded gowns.
+
+    Args:
+        vertices: of the packaged gown.
+
+    Raises:
+        GarmentError: if the file is damaged, or of a gown with other vertices.
+        MissingAssetError: if there is no such file.
+    """
+    needed = {"vertices": ("starts", vertices, 3), "hand": ("starts", 3)}
+    remedy = "Restore the file from the package."
+    arrays = read_arrays(
+        asset_path(STARTS), "recorded starts of the gown", needed, GarmentError, remedy
+    )
+    return Starts(arrays["vertices"].astype(np.float32), arrays["hand"].astype(np.float32))

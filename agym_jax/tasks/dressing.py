@@ -259,9 +259,8 @@ class Dressing:
         cloth = fabrics.initial(self.spec, held_w)
         pos_w = swung(cloth.pos_w, held_w, hand_w, drawn_swing(key))
         if self.starts is not None:
-            draw, which = jax.random.split(jax.random.fold_in(key, 2))
-            settled_w = self.starts.draw(which, sensed.tool.pos_w, hand_w)
-            settled = jax.random.bernoulli(draw, self.config.settled_gown)
+            settled = jax.random.bernoulli(jax.random.fold_in(key, 2), self.config.settled_gown)
+            settled_w = self.starts.nearest(sensed.tool.pos_w, hand_w)
             pos_w = jnp.where(settled, settled_w, pos_w)
         free = (self.spec.held < 0)[:, None]
         return replace(cloth, pos_w=jnp.where(free, pos_w, cloth.pos_w))

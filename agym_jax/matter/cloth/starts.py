@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -18,8 +17,6 @@ from agym_jax.data.npz import read_arrays
 from agym_jax.matter.cloth.garment import GarmentError
 
 STARTS = "garments/gown_starts.npz"
-NEAREST = 4
-"""Of so many recorded gowns, those in front of the most similarly placed hands, one is drawn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,20 +31,18 @@ class Starts:
     vertices: np.ndarray
     hand: np.ndarray
 
-    def draw(self, key: Array, gripper_w: Array, hand_w: Array) -> Array:
-        """Draw a gown that hung in front of a hand at nearly the same place, world [m] (n, 3).
+    def nearest(self, gripper_w: Array, hand_w: Array) -> Array:
+        """Return the gown that hung in front of the most similarly placed hand, world [m] (n, 3).
 
-        It lies against the hand: where the hand is a few centimetres farther forward or back, so is the gown at the height of
+        It lies against the hand: where the hand is farther forward or back than the recorded one, so is the gown at the height of
         the hand.
 
         Args:
-            key: of the draw.
             gripper_w: position of the gripper [m] (3,).
             hand_w: tip of the person's hand [m] (3,).
         """
         away = jnp.asarray(self.hand, jnp.float32) - (hand_w - gripper_w)
-        _, nearest = jax.lax.top_k(-jnp.sum(away * away, -1), NEAREST)
-        which = jax.random.choice(key, nearest)
+        which = jnp.argmin(jnp.sum(away * away, -1))
         hung = jnp.asarray(self.vertices, jnp.float32)[which]
         below = jnp.clip(hung[:, 2] / (hand_w - gripper_w)[2], 0.0, 1.0)
         return gripper_w + hung.at[:, 1].add(-away[which, 1] * below)

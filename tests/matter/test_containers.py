@@ -142,6 +142,7 @@ def energy(state: Particles) -> tuple[np.ndarray, np.ndarray]:
     return potential, np.square(state.vel_w).sum(-1).mean(1) / 2
 
 
+@pytest.mark.slow
 @BOTH
 def test_energy_at_rest_does_not_grow(moves: Any, name: str) -> None:
     state, quiet = None, turned(lambda t: 0 * t)

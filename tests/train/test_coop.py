@@ -151,7 +151,10 @@ def test_acting_and_learning_never_round_to_tf32():
 
 
 @CRITICS
-@pytest.mark.parametrize(("agent", "other"), [("robot", "human"), ("human", "robot")])
+@pytest.mark.parametrize(
+    ("agent", "other"),
+    [("robot", "human"), pytest.param("human", "robot", marks=pytest.mark.slow)],
+)
 def test_given_the_batch_learning_does_not_depend_on_the_other_networks(central, agent, other):
     agents, learner, batch, last = updated(dataclasses.replace(SMALL, central_critic=central))
     learn = jax.jit(agents.learn)
@@ -352,6 +355,7 @@ def test_a_real_pair_is_cut_where_the_robot_of_the_still_person_ends(static_env,
     assert len({part.layout for part in agents.values()}) == 3
 
 
+@pytest.mark.slow
 def test_the_command_line_trains_two(tmp_path, capsys, restored_settings):
     words = f"--env-name FakeCarryHuman-v0 --num-env-steps 640 --num-envs 4 --save-dir {tmp_path}"
     words += " --num-mini-batch 4 --policy-hidden 32 --value-hidden 32 --central-critic"

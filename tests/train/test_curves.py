@@ -56,7 +56,13 @@ CURVES = json.loads((DATA / "curves.json").read_text())
 UNTIMED = ("seconds", "steps_per_second")
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(x, marks=pytest.mark.slow) if x in ("ppo_stepwise", "coop_central") else x
+        for x in CASES
+    ],
+)
 def test_a_fixed_seed_gives_the_curve_it_always_gave(case: str):
     train, make, config, changes = CASES[case]
     curve = train(make(), config(**SETTINGS | changes)).curve

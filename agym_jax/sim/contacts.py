@@ -171,7 +171,7 @@ def pair_rolling(kind: str, task: Task, robot: RobotSpec) -> float:
     """Rolling and spinning friction of one kind of pair [m]; 0 for those that resist sliding only.
 
     Bullet's is ``r1 * f2 + r2 * f1`` of two materials' lengths and friction coefficients. Only the bed has a length (``no-rolling``). For a
-    person's limbs it is at most ``LIMB_ROLLING``.
+    person's limbs it is ``SeatSpec.limb_rolling`` where that is given (``bed-contact``).
 
     Args:
         kind: a key of ``contact_pairs``.
@@ -181,8 +181,8 @@ def pair_rolling(kind: str, task: Task, robot: RobotSpec) -> float:
     one, other = sides(kind)
     if other != "seat":
         return 0.0
-    length = task.seat.rolling * _materials(kind, task, robot)[0]
-    return min(length, LIMB_ROLLING) if one == "human" else length
+    given = task.seat.limb_rolling if one == "human" else None
+    return task.seat.rolling * _materials(kind, task, robot)[0] if given is None else given
 
 
 def sides(kind: str) -> tuple[str, str]:
@@ -206,8 +206,6 @@ def _materials(kind: str, task: Task, robot: RobotSpec) -> tuple[float, float]:
     return materials[one], materials[other]
 
 
-LIMB_ROLLING = 0.15
-"""Largest rolling friction of a person's limbs [m]: AG's of ArmManipulation; with that of BedBathing they stick (``bed-contact``)."""
 MOUNT_FRICTION = 0.5
 """Of what carries a robot's base: Bullet's of anything that has no other."""
 

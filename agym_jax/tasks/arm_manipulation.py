@@ -128,7 +128,9 @@ class ArmManipulation:
     goals: tuple[tuple[str, ...], ...] = (("right_forearm", "waist"), ("right_hand", "hips"))
     tool: ToolSpec = SCOOPER
     # AG arm_manipulation.py reset: after the first of its two settles
-    seat: SeatSpec = replace(BED, friction=0.3, rolling=0.3, bears_upper_arm=True)
+    seat: SeatSpec = replace(
+        BED, friction=0.3, rolling=0.3, bears_upper_arm=True, limb_rolling=0.28
+    )
     human: HumanSpec = HumanSpec(
         joints=RIGHT_ARM,
         pose={},

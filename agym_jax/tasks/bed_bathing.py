@@ -138,7 +138,9 @@ class BedBathing:
     arms: tuple[str, ...] = ("left",)
     goals: tuple[tuple[str, ...], ...] = (RIGHT_ARM_LINKS,)
     tool: ToolSpec = WIPER
-    seat: SeatSpec = replace(BED, friction=5.0, rolling=5.0)  # AG bed_bathing.py reset
+    seat: SeatSpec = replace(
+        BED, friction=5.0, rolling=5.0, limb_rolling=0.15
+    )  # AG bed_bathing.py reset; limbs: deviation bed-contact
     human: HumanSpec = HumanSpec(
         joints=RIGHT_ARM,
         pose={},

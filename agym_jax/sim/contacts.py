@@ -8,10 +8,12 @@ DEVIATION(bed-contact): a limb that falls onto the bed is stopped after the phys
 deep, and gives way; Bullet stops it at the surface. People with AG's masses land as in Bullet (``landing``): a man's wrist follows AG's
 within 1 cm until the arm meets the bed and within 2.7 cm on average over the first second, a woman's within 4 and 5 cm. At rest, elbow and
 wrist are as high as AG's within 1.6 cm, and a man's wrist is 7 cm nearer to the feet. The bed's edge is round here, in AG a mesh with a
-ridge: a sudden push of 12, 20, 30 and 40 N at the elbow has moved it by 1, 1, 15 and 14 cm after 0.5 s in AG and by 5, 21, 33 and 35 cm here
-(medians of ten people). In MuJoCo's cone, what turns in a contact also separates, by the angle times the length of the rolling friction, so that an
+ridge, and in MuJoCo's cone sliding, rolling and spinning share one bound: a limp arm that hangs over the edge rolls and slides down it. With AG's rolling friction
+of ArmManipulation, 0.15 m, a sudden push of 12, 20, 30 and 40 N at the elbow moves it by 5, 21, 33 and 35 cm within 0.5 s, in AG by 1, 1, 15 and 14 (medians of
+ten people). There, the person's arm has 0.28 m here, which was fitted to these pushes: 1, 2, 5 and 16 cm; where a man's elbow comes to rest is then 3 cm from AG's instead of 1.
+In this cone, what turns in a contact also separates, by the angle times the length of the rolling friction, so that an
 arm that rests on the bed can hardly be lifted if that is long: with full actions for 2 s, an active person of BedBathing bends the elbow by 1.36 rad in
-AG, here by 0.09 with AG's 2.5 m and by 1.35 with 0.15 m. Hence the person's arm has 0.15 m, robots and tools 2.5 m. Upper arm and forearm then turn about
+AG, here by 0.09 with AG's 2.5 m, by 1.09 with 0.28 m and by 1.35 with 0.15 m. Hence the person's arm has 0.15 m in BedBathing, robots and tools 2.5 m. Upper arm and forearm then turn about
 their lengths more freely than in AG, by 1.23 instead of 0.67 rad (all joints 0.62 and 0.43; 24 people each). What was tried is in docs/benchmarks.md.
 """
 

@@ -6,11 +6,12 @@ DEVIATION(no-rolling): contacts of tools and robots, except with the bed, resist
 rolling and spinning on the person, with 0.5 mm times the force: 0.0025 N m at 5 N, 0.25 % of a motor's torque.
 DEVIATION(bed-contact): a limb that falls onto the bed is stopped after the physics step in which it entered, up to 2 cm
 deep, and gives way; Bullet stops it at the surface. People with AG's masses land as in Bullet (``landing``): a man's wrist follows AG's
-within 1 cm until the arm meets the bed and within 2.7 cm on average over the first second, a woman's within 4 and 5 cm. At rest, elbow and
-wrist are as high as AG's within 1.6 cm, and a man's wrist is 7 cm nearer to the feet. The bed's edge is round here, in AG a mesh with a
+within 1 cm until the arm meets the bed and within 2.4 cm on average over the first second, a woman's within 4 and 5.5 cm. At rest, elbow and
+wrist are as high as AG's within 1.6 cm, and a man's wrist is 8 cm nearer to the feet. The bed's edge is round here, in AG a mesh with a
 ridge, and in MuJoCo's cone sliding, rolling and spinning share one bound: a limp arm that hangs over the edge rolls and slides down it. With AG's rolling friction
 of ArmManipulation, 0.15 m, a sudden push of 12, 20, 30 and 40 N at the elbow moves it by 5, 21, 33 and 35 cm within 0.5 s, in AG by 1, 1, 15 and 14 (medians of
-ten people). There, the person's arm has 0.28 m here, which was fitted to these pushes: 1, 2, 5 and 16 cm; where a man's elbow comes to rest is then 3 cm from AG's instead of 1.
+ten people). There, the person's arm has 0.28 m here, which was fitted to these pushes: 1, 2, 5 and 14 cm; where a man's elbow comes to rest is then 3 cm from AG's
+instead of 1, and an arm that falls is up to 1 cm inside the bed for 99 % of the time instead of 0.4.
 In this cone, what turns in a contact also separates, by the angle times the length of the rolling friction, so that an
 arm that rests on the bed can hardly be lifted if that is long: with full actions for 2 s, an active person of BedBathing bends the elbow by 1.36 rad in
 AG, here by 0.09 with AG's 2.5 m, by 1.09 with 0.28 m and by 1.35 with 0.15 m. Hence the person's arm has 0.15 m in BedBathing, robots and tools 2.5 m. Upper arm and forearm then turn about
@@ -173,7 +174,7 @@ def pair_rolling(kind: str, task: Task, robot: RobotSpec) -> float:
     """Rolling and spinning friction of one kind of pair [m]; 0 for those that resist sliding only.
 
     Bullet's is ``r1 * f2 + r2 * f1`` of two materials' lengths and friction coefficients. Only the bed has a length (``no-rolling``). For a
-    person's limbs it is ``SeatSpec.limb_rolling`` where that is given (``bed-contact``).
+    person's limbs it is ``SeatSpec.limb_rolling`` where that is given, which is not multiplied (``bed-contact``).
 
     Args:
         kind: a key of ``contact_pairs``.

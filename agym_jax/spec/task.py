@@ -80,9 +80,7 @@ class SeatSpec:
     stops_arm: bool = False  # whether the robot's wrist and forearm meet it, not only its hand
     bears_upper_arm: bool = False  # whether the upper arm may rest on it, not only forearm and hand
     rolling: float = 0.0  # rolling and spinning friction of its material [m]
-    limb_rolling: float | None = (
-        None  # the same of a limb that lies on it [m], if not by its material
-    )
+    limb_rolling: float | None = None  # of a limb and the seat together [m]; None: by material
     pillow: tuple[str, ...] = ()  # collision geoms that bear the girdle, if also the upper arm
     props: tuple[Prop, ...] = ()  # what stands around it
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from parity_rows import assert_rows_hold_or_name_a_deviation
 
 from benchmarks.parity import beside_bed
@@ -26,6 +27,14 @@ def test_a_hanging_arm_meets_the_nightstand_where_it_does_in_assistive_gym():
     ours, ag = beside_bed.person_distances()
     # with the box that the robot meets, 23 mm
     assert np.abs(np.median(ours - ag)) < 0.004 and np.abs(ours - ag).max() < 0.01
+
+
+@pytest.mark.parametrize("strength", [12.0, 20.0])
+def test_a_limp_arm_withstands_the_pushes_that_it_withstands_in_assistive_gym(strength: float):
+    kept = traces("beside_bed")
+    pushed = kept["push_force"] == strength
+    ours, ag = (np.median(x[pushed, -1]) for x in (beside_bed.moved(), kept["push_moved"]))
+    assert abs(ours - ag) < 0.01  # with a rolling friction of 0.15 m, 4 and 20 cm apart
 
 
 def test_a_harder_push_moves_the_limp_arm_farther():

@@ -1,5 +1,5 @@
 # ruff: noqa: D103
-"""Recorded actions dress here whom they dressed in Assistive Gym; all of them are in the parity page."""
+"""A path that dresses in Assistive Gym, and one that does not; shares over all recorded ones are in the parity page."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from benchmarks.parity.row import traces
 
 @pytest.mark.slow
 @pytest.mark.parity
-@pytest.mark.parametrize(("robot", "case"), [("PR2", 1), ("Jaco", 1)])
-def test_a_sleeve_goes_on_where_it_did_in_assistive_gym(robot: str, case: int):
-    row, env = dressing.cases(robot)[case], dressing.env_of(robot, True)
-    best = dressing.play(env, row, jax.random.PRNGKey(0))
-    on = traces("dressing")["dressed"][row] > dressing.UP_THE_ARM
-    assert on == (robot == "PR2")
-    assert (best > dressing.UP_THE_ARM) == on
+def test_a_path_of_pr2_puts_the_sleeve_on_and_one_of_jaco_does_not():
+    best, there = {}, {}
+    for robot in ("PR2", "Jaco"):
+        case = dressing.cases(robot)[1]
+        best[robot] = dressing.play(dressing.env_of(robot, True), case, jax.random.PRNGKey(0))
+        there[robot] = traces("dressing")["dressed"][case]
+    assert best["PR2"] > 0.4 and there["PR2"] > 0.4
+    assert best["Jaco"] < 0.1 and there["Jaco"] < 0.1

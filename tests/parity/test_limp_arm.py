@@ -47,7 +47,9 @@ def test_man_s_arm_swings_as_ags_until_it_meets_the_bed():
     assert (before < 0.025).sum() >= 10  # of twelve
     # as far as AG's own when its mattress is moved by 3 mm: deviation bed-contact
     assert np.median(second) < 0.03
-    assert np.median(rest) < 0.03
+    assert (
+        np.median(rest) < 0.03
+    )  # 2.8 cm; 1.3 with AG's rolling friction, with which pushes move it too far
 
 
 @pytest.mark.parametrize("sex", [0, 1])
@@ -88,7 +90,8 @@ def test_an_arm_that_falls_stops_at_the_surface_of_the_bed():
                 mujoco.mj_geomDistance(model, data, a, b, 0.1, None) for a in limbs for b in bed
             ]
             inside.append(-min(gaps))
-    assert np.percentile(inside, 99) < 0.012  # it falls at up to 1.7 m/s, 3.4 cm in a step
+    # it falls at up to 1.7 m/s, 3.4 cm in a step; 1.0 cm deep where it rolls over the edge, 0.4 with AG's rolling friction
+    assert np.percentile(inside, 99) < 0.012
     assert max(inside) < 0.02
 
 

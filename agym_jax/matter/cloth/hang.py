@@ -8,7 +8,7 @@ DEVIATION(gown-start): AG drops the gown before each episode; it hangs like a cu
 tip, with the rest of the gown on the lap. Here a gown that hangs still begins swung forward and sideways, by as much as is
 drawn: its cuff is 27 to 35 cm before the tip (10th and 90th percentile of 24 starts), and 13 to 18 cm after it has swung back for 2 s. How far
 is set so that hands which move at once, or high above the arm, miss the sleeve, as their replayed paths do in AG. With ``settled_gown``, a share
-of the episodes begins with the gown of 80 recorded there whose hand was nearest to the person's, as seen from the gripper.
+of the episodes begins with one of 80 gowns recorded in AG, the one in front of the hand that was nearest to the person's, relative to the gripper.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """How the packaged gown hangs in front of a hand when an episode of Assistive Gym begins: shapes that were recorded there.
 
-Assistive Gym drops the gown at every reset and lets it settle for 2 s. Recorded were 80 episodes: where the surface that
-corresponds to the packaged gown was then, seen from the gripper, and the tip of the person's hand.
+Assistive Gym drops the gown at every reset and lets it settle for 2 s (v0.1 ``dressing.py`` reset). 80 such resets were recorded: the positions of the points
+of its gown that correspond to the vertices of the packaged one (which is the part from the cuff to where it is held), relative to the gripper, in float16,
+and the tip of the person's hand.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ class Starts:
     def nearest(self, gripper_w: Array, hand_w: Array) -> Array:
         """Return the gown that hung in front of the most similarly placed hand, world [m] (n, 3).
 
-        It lies against the hand: where the hand is farther forward or back than the recorded one, so is the gown at the height of
-        the hand.
+        It lies against the hand: where the hand is farther forward (-y) or back than the recorded one, so is the gown at the height of
+        the hand. The held vertices follow the gripper, not the recording.
 
         Args:
             gripper_w: position of the gripper [m] (3,).

@@ -12,7 +12,7 @@ import numpy as np
 import agym_jax
 from agym_jax.human import pose
 from agym_jax.sim.episode import make_episode
-from agym_jax.state import Episode
+from agym_jax.state import Episode, State
 
 
 def episode_as(
@@ -36,3 +36,17 @@ def episode_as(
     body = pose.typical(spec, sex, 1.0, 1.0, float(human.limit_scale))
     place = dataclasses.replace(drawn.placement, arm_angles=jnp.asarray(angles, jnp.float32))
     return make_episode(env.scene, spec, (human, jax.tree.map(jnp.float32, body), place, None), np)
+
+
+def begin_as(env: agym_jax.Env, state: State, episode: Episode, key: jax.Array) -> State:
+    """The state in which an episode begins.
+
+    Args:
+        env: with ``impl="native"``.
+        state: of the environment; it is not changed.
+        episode: from ``episode_as``.
+        key: of what the task draws.
+    """
+    data = env.physics.reset(state.data, episode)
+    fields, _ = env._begin_task(key, data, episode)
+    return state.replace(data=data, episode=episode, **fields)

@@ -32,7 +32,7 @@ from agym_jax.registry import parse
 from agym_jax.sim.c_mujoco import NativePhysics
 from agym_jax.state import Episode, State
 from benchmarks.keep import keep
-from benchmarks.recorded_episode import episode_as
+from benchmarks.recorded_episode import begin_as, episode_as
 
 HELD = math.radians(20.0)
 """Largest turn of a tool in Assistive Gym's hand that counts as held [rad]."""
@@ -66,9 +66,7 @@ def begin(env: agym_jax.Env, start: dict[str, np.ndarray]) -> State:
 
     def stand(drawn: Episode) -> State:
         episode = episode_as(env, seen[13:20], float(start["sex"]), drawn, **person)
-        data = env.physics.reset(state.data, episode)
-        fields, _ = env._begin_task(jax.random.PRNGKey(0), data, episode)
-        return state.replace(data=data, episode=episode, **fields)
+        return begin_as(env, state, episode, jax.random.PRNGKey(0))
 
     def moved(state: State, **fields: Any) -> State:
         place = dataclasses.replace(state.episode.placement, **fields)

@@ -17,7 +17,7 @@ import numpy as np
 
 import agym_jax
 from benchmarks.parity.row import Row, traces
-from benchmarks.recorded_episode import episode_as
+from benchmarks.recorded_episode import begin_as, episode_as
 
 ROBOTS = ("PR2", "Jaco", "Baxter", "Sawyer")
 UP_THE_ARM = 0.2  # [m], from the tip of the hand
@@ -45,9 +45,7 @@ def play(env: agym_jax.Env, case: int, key: jax.Array) -> float:
     drawn = dataclasses.replace(state.episode, placement=place)
     off = np.asarray(jax.random.uniform(key, (7,), minval=-OFF, maxval=OFF))
     episode = episode_as(env, kept["q"][case] + off, float(kept["sex"][case]), drawn)
-    data = env.physics.reset(state.data, episode)
-    seen, _ = env._begin_task(key, data, episode)
-    state = state.replace(data=data, episode=episode, **seen)
+    state = begin_as(env, state, episode, key)
     for action in kept["actions"][case, : kept["steps"][case]]:
         state = env.step(state, action)
     return max(float(state.task.best), 0.0)

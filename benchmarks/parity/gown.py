@@ -8,17 +8,13 @@ arm the cuff comes, and AG's number of the gown's force from 4 s on: here newton
 
 from __future__ import annotations
 
-import dataclasses
-
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import agym_jax
-from agym_jax.human import pose
-from agym_jax.sim.episode import make_episode
 from agym_jax.tasks import dressing
 from benchmarks.parity.row import Row, traces
+from benchmarks.recorded_episode import begin_as, episode_as
 
 NAMES = ("script, a man", "script, a woman", "script, another man", "former policy, a man")
 ON = (1.0, 0.0, 1.0, 0.0)
@@ -32,17 +28,8 @@ STARTS = 8  # of the gown here, drawn
 def play(env: agym_jax.Env, case: int, key: jax.Array) -> tuple[np.ndarray, float]:
     """AG's number of the gown's force (200,), and how far up the arm the cuff came, the person's tip of the hand being 0 [m]."""
     kept, state = traces("gown"), env.reset(key)
-    one, spec, sex = jnp.float32(1.0), env.task.human, float(kept["sex"][case])
-    human = dataclasses.replace(
-        state.episode.human, sex=jnp.float32(sex), stature=one, girth=one, strength=one, limit_scale=one,
-        tremor=jnp.zeros_like(state.episode.human.tremor),
-    )  # fmt: skip
-    body = jax.tree.map(jnp.float32, pose.typical(spec, sex, 1.0, 1.0, 1.0))
-    place = dataclasses.replace(state.episode.placement, arm_angles=jnp.asarray(kept["q"][case]))
-    episode = make_episode(env.scene, spec, (human, body, place, None), np)
-    data = env.physics.reset(state.data, episode)
-    seen, _ = env._begin_task(key, data, episode)
-    state, felt = state.replace(data=data, episode=episode, **seen), []
+    episode = episode_as(env, kept["q"][case], float(kept["sex"][case]), state.episode)
+    state, felt = begin_as(env, state, episode, key), []
     for action in kept["action"][case]:
         state = env.step(state, action)
         felt.append(float(dressing.felt(state.task)))

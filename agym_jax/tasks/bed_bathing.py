@@ -138,9 +138,8 @@ class BedBathing:
     arms: tuple[str, ...] = ("left",)
     goals: tuple[tuple[str, ...], ...] = (RIGHT_ARM_LINKS,)
     tool: ToolSpec = WIPER
-    seat: SeatSpec = replace(
-        BED, friction=5.0, rolling=5.0, limb_rolling=0.15
-    )  # AG bed_bathing.py reset; limbs: deviation bed-contact
+    # AG bed_bathing.py reset; limb_rolling: deviation bed-contact
+    seat: SeatSpec = replace(BED, friction=5.0, rolling=5.0, limb_rolling=0.15)
     human: HumanSpec = HumanSpec(
         joints=RIGHT_ARM,
         pose={},

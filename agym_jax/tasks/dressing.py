@@ -223,7 +223,7 @@ class Dressing:
 
     @cached_property
     def starts(self) -> Starts | None:
-        """How the packaged gown hung in AG when episodes began; None if no episode begins so."""
+        """How the packaged gown hung in AG when episodes began; None if no episode begins so. Refuses another garment."""
         if self.config.settled_gown <= 0.0:
             return None
         if self.garment != GOWN:

@@ -2,7 +2,7 @@
 
 Assistive Gym drops the gown at every reset and lets it settle for 2 s (v0.1 ``dressing.py`` reset). 80 such resets were recorded: the positions of the points
 of its gown that correspond to the vertices of the packaged one (which is the part from the cuff to where it is held), relative to the gripper, in float16,
-and the tip of the person's hand.
+and the tip of the person's hand. The programs that recorded and matched them are not in this repository.
 """
 
 from __future__ import annotations

@@ -58,6 +58,7 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "Dressing": _SLOW,
     # seeds that fail pull the sleeve to the elbow and stay there: with a longer horizon and an entropy bonus, more get past it; as in
     # BedBathing, the pairs take it too, and were trained without
+    "DressingBaxter": _ELBOW,
     "DressingJaco": _ELBOW,
     "DressingPR2": _ELBOW,
     # without the entropy bonus the tool learns to press on the arm instead of getting beneath it

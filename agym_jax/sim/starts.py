@@ -49,10 +49,13 @@ def draw_start(key: Array, starts: Starts, posture: Array | None) -> Placement:
     """
     rows = starts.bank.arm_angles.shape[0]
     row = jax.random.randint(key, (), 0, rows)
-    if starts.meets is not None and posture is not None:
-        meets = jnp.asarray(starts.meets)[posture]
-        free = jnp.cumsum(~meets)  # how many of the rows up to each one
-        nth = jax.random.randint(jax.random.fold_in(key, 1), (), 0, jnp.maximum(free[-1], 1))
-        again = jnp.argmax(free > nth)
-        row = jnp.where(meets[row] & (free[-1] > 0), again, row)
+    if posture is not None and starts.meets is not None and starts.meets.any():
+        # few postures meet anything: those that meet the same share a line of a small table
+        lines, line_of = np.unique(starts.meets, axis=0, return_inverse=True)
+        line = jnp.asarray(line_of.reshape(-1))[posture]
+        order = np.argsort(lines, axis=1, kind="stable")  # the free ones first
+        free = jnp.asarray((~lines).sum(axis=1))[line]
+        nth = jax.random.randint(jax.random.fold_in(key, 1), (), 0, jnp.maximum(free, 1))
+        again = jnp.asarray(order)[line, nth]
+        row = jnp.where(jnp.asarray(lines)[line, row] & (free > 0), again, row)
     return jax.tree.map(lambda x: jnp.asarray(x)[row], starts.bank)

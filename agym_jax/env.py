@@ -29,7 +29,6 @@ from jax import Array
 
 from agym_jax import observe
 from agym_jax.changes import changes_of
-from agym_jax.data.banks import load_bank
 from agym_jax.errors import SpecError, WrapperError, checked_count
 from agym_jax.human.population import Population, checked_population
 from agym_jax.human.regions import comfort_limits, no_forces
@@ -45,6 +44,7 @@ from agym_jax.sim.physics import build_physics, check_traceable, choose_impl, na
 from agym_jax.sim.pictures import markers_of, picture_model, write_pose
 from agym_jax.sim.scene import build_scene
 from agym_jax.sim.sensing import ContactSums, motion_at_rest, no_contacts, sense
+from agym_jax.sim.starts import load_starts
 from agym_jax.spec import Loaded, Privileged, RobotSpec, Task
 from agym_jax.state import Episode, State, last_seen, limited_by_brax, raw_key, select, strong
 from agym_jax.variation import RobotVariation, checked_variation, sample_robot, sensed_by
@@ -94,7 +94,7 @@ class AssistiveEnv:
         self.episode_length = task.episode_length
         self.controller = Controller.of(self.scene, task, active, self.humans.masses)
         self.physics = build_physics(self.impl, self.scene, self.controller, task, num_envs)
-        self._bank = load_bank(task, robot)
+        self._starts = load_starts(task, robot)
         self.native_rows = None if self.physics.traceable else native_rows_of(self)
         if not self.native_rows:
             _introduce_to_brax()
@@ -317,7 +317,7 @@ class AssistiveEnv:
         """Draw an episode; also return the keys of the task and of later episodes."""
         *keys, key_task, key = jax.random.split(rng, 5)
         robot = sample_robot(rng, self.variation)
-        sample = sample_episode(keys, self.scene, self.task.human, self.humans, self._bank, robot)
+        sample = sample_episode(keys, self.scene, self.task.human, self.humans, self._starts, robot)
         return strong((sample, key_task, key))
 
     def _begin_task(

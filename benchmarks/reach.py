@@ -159,8 +159,8 @@ class Searcher:
 def itch(searcher: Searcher) -> tuple[bool, str]:
     """Draw person, base and itch: whether it can be touched, and whether it is on the quarter that faces the trunk."""
     env, rng = searcher.env, searcher.rng
-    sex, row = float(rng.integers(2)), int(rng.integers(len(env._bank.base_pos)))
-    base = _pose(env._bank.base_pos[row], env._bank.base_quat[row])
+    sex, row = float(rng.integers(2)), int(rng.integers(len(env._starts.bank.base_pos)))
+    base = _pose(env._starts.bank.base_pos[row], env._starts.bank.base_quat[row])
     joints = env.task.human.joints
     angles = pose.start_angles(pose.typical(env.task.human, sex), joints, 1.0, np)
     model, data = searcher.scene(sex, base, angles)
@@ -174,7 +174,7 @@ def itch(searcher: Searcher) -> tuple[bool, str]:
     turn = data.body(limb).xmat.reshape(3, 3)
     points = data.body(limb).xpos + (local + lift * outward) @ turn.T
     points = points[np.arange(searcher.starts) % len(points)]
-    reachable = searcher.can_reach(model, data, base, env._bank.arm_angles[row], points)
+    reachable = searcher.can_reach(model, data, base, env._starts.bank.arm_angles[row], points)
     return reachable, "inner" if np.sin(place[1]) < -np.sqrt(0.5) else "other"
 
 

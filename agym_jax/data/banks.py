@@ -16,6 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import jax
+import numpy as np
 
 from agym_jax.data.assets import asset_root
 from agym_jax.data.npz import Shape, read_arrays
@@ -39,6 +40,8 @@ class Placement:
 SHAPES: dict[str, Shape] = {
     "base_pos": ("rows", 3), "base_quat": ("rows", 4), "arm_angles": ("rows", "joints"),
 }  # fmt: skip
+MEETS = "meets"
+"""Name of a bank's optional array, see ``load_meets``."""
 
 
 def bank_folders() -> tuple[Path, ...]:
@@ -70,13 +73,21 @@ def find_bank(task: Task, robot: RobotSpec) -> Path:
     )
 
 
-def build_command(task: Task, robot: RobotSpec) -> str:
-    """What to type to build a pair's bank; a task from outside of the package is found by its module."""
+def build_command(task: Task, robot: RobotSpec, command: str = "build") -> str:
+    """What to type to build a pair's bank; a task from outside of the package is found by its module.
+
+    Args:
+        task: of the pair.
+        robot: of the pair.
+        command: of ``agym-jax placements``: ``"build"``, or ``"meet"`` for what ``load_meets`` reads.
+    """
     module = type(task).__module__
     if module == "__main__":
         module = Path(getattr(sys.modules[module], "__file__", "")).stem
     ours = not module or module.split(".")[0] == "agym_jax"
-    command = f"agym-jax placements build {'' if ours else f'{module}:'}{task.name}{robot.name}-v0"
+    command = (
+        f"agym-jax placements {command} {'' if ours else f'{module}:'}{task.name}{robot.name}-v0"
+    )
     own = ours and Path(robot.model).is_absolute()
     return (
         f"{command} (with my_module: before the id, if my_module registers {robot.name})"
@@ -94,7 +105,7 @@ def load_bank(task: Task, robot: RobotSpec) -> Placement:
         SpecError: they are of an arm with another number of joints.
     """
     path, remedy = find_bank(task, robot), f"Build it again with: {build_command(task, robot)}"
-    bank = _read(path, path.stat().st_mtime_ns, remedy)
+    bank, _ = _read(path, path.stat().st_mtime_ns, remedy)
     joints = [name for arm in robot.arms_for(task) for name in arm.joints]
     if bank.arm_angles.shape[1] != len(joints):
         raise SpecError(
@@ -104,8 +115,35 @@ def load_bank(task: Task, robot: RobotSpec) -> Placement:
     return bank
 
 
+def load_meets(task: Task, robot: RobotSpec, postures: int) -> np.ndarray | None:
+    """Whether the pair's placements begin inside somebody who lies in a settled posture, see ``offline.met_people``.
+
+    Args:
+        task: of the pair.
+        robot: of the pair.
+        postures: P, rows of the task's bank of settled postures.
+
+    Returns:
+        bool (P, K), or None if the bank does not tell.
+
+    Raises:
+        MissingPlacementError: see ``load_bank``.
+        SpecError: the table is of other postures or placements; the message has the command that makes it anew.
+    """
+    path, remedy = find_bank(task, robot), f"Build it again with: {build_command(task, robot)}"
+    bank, meets = _read(path, path.stat().st_mtime_ns, remedy)
+    wanted = postures, len(bank.arm_angles)
+    if meets is not None and (meets.shape != wanted or meets.dtype != bool):
+        raise SpecError(
+            f"The placement bank {path} has a table {MEETS!r} of {meets.dtype} {meets.shape}, but {task.name} has "
+            f"{postures} settled postures and the bank {len(bank.arm_angles)} placements: it should be bool {wanted}. "
+            f"Make it again with: {build_command(task, robot, 'meet')}"
+        )
+    return meets
+
+
 @lru_cache(maxsize=64)
-def _read(path: Path, changed: int, remedy: str) -> Placement:
+def _read(path: Path, changed: int, remedy: str) -> tuple[Placement, np.ndarray | None]:
     """A bank's arrays, read once for each time that the file ``changed``."""
     arrays = read_arrays(path, "placement bank", SHAPES, MissingPlacementError, remedy)
-    return Placement(**{f.name: arrays[f.name] for f in fields(Placement)})
+    return Placement(**{f.name: arrays[f.name] for f in fields(Placement)}), arrays.get(MEETS)

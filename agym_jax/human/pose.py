@@ -49,17 +49,30 @@ def sample_pose(key: jax.Array, spec: HumanSpec, human: Human) -> BodyPose:
         spec: the task's fixed angles and ranges, or its bank of settled postures.
         human: who.
     """
+    return sample_pose_and_row(key, spec, human)[0]
+
+
+def sample_pose_and_row(
+    key: jax.Array, spec: HumanSpec, human: Human
+) -> tuple[BodyPose, jax.Array | None]:
+    """Draw a pose; also return which row () of the bank of settled postures it is, None if the task has none.
+
+    Args:
+        key: PRNG key.
+        spec: the task's fixed angles and ranges, or its bank of settled postures.
+        human: who.
+    """
     if not spec.postures:
         widths = np.array([spec.pose_range.get(j, 0.0) for j in body.JOINTS], np.float32)
         noise = widths * jax.random.uniform(key, widths.shape, minval=-1.0, maxval=1.0)
         pose = seated(
             spec, human.dims, human.sex, human.stature, human.girth, jnp, human.limit_scale
         )
-        return BodyPose(pose.root_pos, pose.root_quat, pose.angles + noise)
+        return BodyPose(pose.root_pos, pose.root_quat, pose.angles + noise), None
     bank = load_postures(spec.postures)
     apart = unlikeness(bank, human.sex, human.stature, human.girth, human.limit_scale, jnp)
     row = jnp.argmin(apart + jax.random.uniform(key, apart.shape, maxval=TIE))
-    return lying(bank, row, human.dims, jnp)
+    return lying(bank, row, human.dims, jnp), row
 
 
 def unlikeness(

@@ -3,6 +3,7 @@
     agym-jax postures build BedBathing --recorded benchmarks/parity/traces/settled_BedBathing.npz
     agym-jax postures build ArmManipulation --recorded benchmarks/parity/traces/settled_ArmManipulation.npz
     agym-jax postures report        # how they compare with Assistive Gym's
+    agym-jax placements meet BedBathingJaco-v0 ...      # after a build, for every robot: whom it would begin inside of
 
 As Assistive Gym does at every reset (bed_bathing.py, arm_manipulation.py; reference tasks.md
 sections 3 and 7), a person without muscle torques falls onto the bed for 2 s at -1 m/s^2, face up, with joint

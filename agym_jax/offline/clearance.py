@@ -25,7 +25,7 @@ class Clearance:
         for sex in (0.0, 1.0):
             angles = human_pose.start_angles(human_pose.typical(task.human, sex), moving, 1.0, np)
             mount = robot.solid_mounts.get(task.seat.name, ())
-            scene = _CompiledScene(compose(task, robot, sex=sex, solid=True), self.joints, mount)
+            scene = CompiledScene(compose(task, robot, sex=sex, solid=True), self.joints, mount)
             scene.set_angles([f"human/{j}" for j in moving], angles)
             self.scenes.append(scene)
 
@@ -44,7 +44,7 @@ class Clearance:
         return scene.least(scene.inside, stop=0.0)
 
 
-class _CompiledScene:
+class CompiledScene:
     """A compiled scene and the geom pairs whose distances count."""
 
     def __init__(self, model: mujoco.MjModel, joints: list[str], mount: tuple[str, ...] = ()):

@@ -1,6 +1,7 @@
 """Build banks of start placements, and report on them: ``agym-jax placements``.
 
     agym-jax placements build ScratchItchJaco-v0 my_module:WavingJaco-v0
+    agym-jax placements meet BedBathingJaco-v0      # in a bank that there is: which rows meet which settled people
     agym-jax placements report
 
 Banks are written into the package's assets, or into the folder that AGYM_JAX_PLACEMENTS names.
@@ -16,16 +17,55 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from agym_jax.data.banks import SHAPES, VARIABLE, Placement, bank_folders, bank_path
+import numpy as np
+
+from agym_jax.data.banks import (
+    MEETS,
+    SHAPES,
+    VARIABLE,
+    Placement,
+    bank_folders,
+    bank_path,
+    build_command,
+    find_bank,
+    load_bank,
+)
 from agym_jax.data.npz import check_writable, provenance_of, read_arrays, write_arrays
 from agym_jax.errors import AgymError, MissingPlacementError, checked_count
 from agym_jax.offline.base_search import search
+from agym_jax.offline.met_people import meets_of
 from agym_jax.registry import parse
+from agym_jax.spec import RobotSpec, Task
 
 
-def save_bank(bank: Placement, path: Path, provenance: dict[str, Any]) -> None:
-    """Write a bank, with where it came from."""
-    write_arrays(path, {name: getattr(bank, name) for name in SHAPES}, provenance)
+def save_bank(
+    bank: Placement, path: Path, provenance: dict[str, Any], meets: np.ndarray | None = None
+) -> None:
+    """Write a bank, with where it came from.
+
+    Args:
+        bank: K rows.
+        path: file to write.
+        provenance: where it came from.
+        meets: which rows meet which settled people, see ``met_people``, bool (P, K).
+    """
+    table = {} if meets is None else {MEETS: meets}
+    write_arrays(path, {name: getattr(bank, name) for name in SHAPES} | table, provenance)
+
+
+def add_meets(task: Task, robot: RobotSpec) -> tuple[np.ndarray, Path]:
+    """Write into a pair's bank which of its rows meet which settled people; the rest stays as it is.
+
+    Returns:
+        the table, bool (P, K), and the file.
+    """
+    bank, source, path = load_bank(task, robot), find_bank(task, robot), bank_path(task, robot)
+    _check_folder(path)
+    remedy = f"Build it again with: {build_command(task, robot)}"
+    arrays = read_arrays(source, "placement bank", SHAPES, MissingPlacementError, remedy)
+    meets = meets_of(task, robot, bank)
+    write_arrays(path, arrays | {MEETS: meets})
+    return meets, path
 
 
 def report_banks() -> str:
@@ -59,18 +99,42 @@ def _build(name: str, seed: int, size: int) -> None:
     """Build the bank of one id."""
     recipe = parse(name)
     path = bank_path(recipe.task, recipe.robot)
-    check_writable(
-        path.parent,
-        f"Name a folder that can be written in the environment variable {VARIABLE}: "
-        f"export {VARIABLE}=$HOME/placements",
-    )
+    _check_folder(path)
     bank, report = search(recipe.task, recipe.robot, seed, size)
     provenance = {
         **dataclasses.asdict(report), "seed": seed, "size": size,
         "versions": {p: version(p) for p in ("mujoco", "jax")}, "command": f"build {name}",
     }  # fmt: skip
-    save_bank(bank, path, provenance)
-    print(f"{name}: {report.table()} -> {path}", flush=True)
+    lying = bool(recipe.task.human.postures)
+    meets = meets_of(recipe.task, recipe.robot, bank) if lying else None
+    save_bank(bank, path, provenance, meets)
+    told = "" if meets is None else f"; {_told(meets)}"
+    print(f"{name}: {report.table()}{told} -> {path}", flush=True)
+
+
+def _meet(name: str) -> None:
+    """Add the table of whom they meet to the bank of one id."""
+    recipe = parse(name)
+    meets, path = add_meets(recipe.task, recipe.robot)
+    print(f"{name}: {_told(meets)} -> {path}", flush=True)
+
+
+def _told(meets: np.ndarray) -> str:
+    """What a table says, in words."""
+    some, none = int(meets.any(axis=1).sum()), int(meets.all(axis=1).sum())
+    return (
+        f"{100 * meets.mean():.3f} % of {meets.shape[0]} postures x {meets.shape[1]} placements meet; "
+        f"{some} postures meet some placements, {none} all"
+    )
+
+
+def _check_folder(path: Path) -> None:
+    """Raise SaveFolderError if a bank cannot be written, before it is made."""
+    check_writable(
+        path.parent,
+        f"Name a folder that can be written in the environment variable {VARIABLE}: "
+        f"export {VARIABLE}=$HOME/placements",
+    )
 
 
 def main(argv: Sequence[str] | None = None, prog: str = "agym-jax placements") -> int:
@@ -87,15 +151,23 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax placements") -
     )
     build.add_argument("--seed", type=int, default=0)
     build.add_argument("--size", type=int, default=512, help="rows to keep")
+    meet = commands.add_parser(
+        "meet", help="add to banks which of their rows meet which of the people who lie on the bed"
+    )
+    meet.add_argument("ids", nargs="+", help="environment ids whose banks were built")
     commands.add_parser("report", help="print what the searches found")
     args = parser.parse_args(argv)
     try:
         if args.command == "report":
             print(report_banks())
             return 0
-        checked_count("--size", args.size)
         for name in args.ids:
             parse(name)  # the last of them too, before the first is built
+        if args.command == "meet":
+            for name in args.ids:
+                _meet(name)
+            return 0
+        checked_count("--size", args.size)
         for name in args.ids:
             _build(name, args.seed, args.size)
     except AgymError as error:

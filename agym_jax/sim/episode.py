@@ -17,6 +17,7 @@ from agym_jax.human.body import BodyFields
 from agym_jax.human.muscles import Muscles
 from agym_jax.sim.motors import implicit_armature
 from agym_jax.sim.scene import Scene
+from agym_jax.sim.starts import Starts, draw_start
 from agym_jax.spec import HumanSpec
 from agym_jax.state import Episode
 from agym_jax.variation import RobotDraw, nothing_sent
@@ -30,7 +31,7 @@ def sample_episode(
     scene: Scene,
     spec: HumanSpec,
     humans: population.Population,
-    bank: Placement,
+    starts: Starts,
     robot: RobotDraw | None = None,
 ) -> EpisodeSample:
     """Draw all that makes one episode another than the next.
@@ -40,15 +41,14 @@ def sample_episode(
         scene: of the pair.
         spec: the person's part in the task.
         humans: the population.
-        bank: placements, K rows.
+        starts: placements, K rows, and whom they meet.
         robot: of the episode, if robots vary.
     """
     human = population.sample_human(
         keys[0], humans, len(scene.moving), spec.tremor_amplitude, spec.impairments
     )
-    pose = human_pose.sample_pose(keys[1], spec, human)
-    row = jax.random.randint(keys[2], (), 0, bank.arm_angles.shape[0])
-    return human, pose, jax.tree.map(lambda x: jnp.asarray(x)[row], bank), robot
+    pose, posture = human_pose.sample_pose_and_row(keys[1], spec, human)
+    return human, pose, draw_start(keys[2], starts, posture), robot
 
 
 def make_episode(scene: Scene, spec: HumanSpec, drawn: EpisodeSample, xp: Any = jnp) -> Episode:

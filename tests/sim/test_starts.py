@@ -1,0 +1,135 @@
+# ruff: noqa: D103
+"""The draw of a placement: again, where the robot would begin inside the person."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import agym_jax
+from agym_jax.data import banks
+from agym_jax.data.banks import Placement, bank_path, load_bank
+from agym_jax.errors import SpecError
+from agym_jax.offline import placements
+from agym_jax.robots import ROBOTS
+from agym_jax.sim.starts import Starts, draw_start, load_starts
+from agym_jax.tasks import TASKS
+
+TASK, ROBOT = TASKS["BedBathing"], ROBOTS["Jaco"]
+ROWS = 8
+BANK = Placement(*(np.tile(np.arange(ROWS, dtype=np.float32)[:, None], n) for n in (3, 4, 7)))
+KEYS = jax.random.split(jax.random.PRNGKey(0), 4000)
+INSIDE = ((0, 335), (0, 781), (3, 1183), (4, 572), (5, 464))
+"""Batches and environments in which Jaco began inside a forearm, and pushed it with 370 to 620 N at once."""
+
+
+def drawn(meets: np.ndarray | None, posture: int | None = 0) -> np.ndarray:
+    """Rows that are drawn with ``KEYS``."""
+    place = jax.vmap(lambda key: draw_start(key, Starts(BANK, meets), posture))(KEYS)
+    return np.asarray(place.arm_angles[:, 0]).astype(int)
+
+
+def test_only_placements_that_meet_the_person_are_drawn_again_evenly_among_the_others():
+    meets = np.zeros((3, ROWS), bool)
+    meets[1, [0, 3, 6, 7]] = True
+    before = drawn(None)
+    np.testing.assert_array_equal(drawn(meets, 0), before)
+    after = drawn(meets, 1)
+    free = ~meets[1, before]
+    np.testing.assert_array_equal(after[free], before[free])
+    assert not meets[1, after].any()
+    for row in (0, 3, 6, 7):  # whatever was drawn first
+        share = np.bincount(after[before == row], minlength=ROWS) / (before == row).sum()
+        np.testing.assert_allclose(share[[1, 2, 4, 5]], 0.25, atol=0.08)
+
+
+def test_a_placement_that_meets_a_person_stays_where_all_do():
+    np.testing.assert_array_equal(drawn(np.ones((1, ROWS), bool)), drawn(None))
+
+
+def test_a_single_free_placement_is_found():
+    for row in (0, ROWS - 1):
+        meets = np.ones((1, ROWS), bool)
+        meets[0, row] = False
+        assert (drawn(meets) == row).all()
+
+
+# -- files -----------------------------------------------------------------------------------------
+
+
+def save(folder: Path, monkeypatch: pytest.MonkeyPatch, meets: Any) -> None:
+    """A user's own bank of the pair."""
+    monkeypatch.setenv(banks.VARIABLE, str(folder))
+    placements.save_bank(BANK, bank_path(TASK, ROBOT), {}, meets)
+
+
+def test_a_bank_without_a_table_draws_as_ever(tmp_path: Path, monkeypatch):
+    save(tmp_path, monkeypatch, None)
+    starts = load_starts(TASK, ROBOT)
+    assert starts.meets is None and len(starts.bank.base_pos) == ROWS
+    assert load_starts(TASKS["Reaching"], ROBOT).meets is None
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        np.zeros((767, ROWS), bool),
+        np.zeros((768, ROWS + 1), bool),
+        np.zeros(768, bool),
+        np.zeros((768, ROWS)),
+    ],
+    ids=["postures", "placements", "axes", "type"],
+)
+def test_a_table_of_other_postures_or_placements_names_the_command(
+    tmp_path: Path, monkeypatch, table: np.ndarray
+):
+    save(tmp_path, monkeypatch, table)
+    wanted = r"should be bool \(768, 8\).*again with: agym-jax placements meet BedBathingJaco-v0"
+    with pytest.raises(SpecError, match=wanted):
+        load_starts(TASK, ROBOT)
+
+
+# -- episodes --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def env() -> Any:
+    return agym_jax.make("BedBathingJaco-v0", impl="native")
+
+
+@pytest.fixture(scope="module")
+def keys() -> jax.Array:
+    """Of the episodes that began inside somebody, and of others."""
+    inside = [jax.random.split(jax.random.PRNGKey(1000 + r), 2048)[i] for r, i in INSIDE]
+    return jnp.concatenate([jnp.stack(inside), KEYS[:500]])
+
+
+def test_episodes_whose_placement_was_free_are_unchanged(env: Any, keys: jax.Array):
+    blind = copy.copy(env)
+    blind._starts = dataclasses.replace(env._starts, meets=None)
+    after, before = (jax.jit(jax.vmap(x._sample_episode))(keys) for x in (env, blind))
+    others = np.any(after[0][2].arm_angles != before[0][2].arm_angles, axis=1)
+    assert others[: len(INSIDE)].all() and others[len(INSIDE) :].mean() < 0.02
+    for one, other in zip(jax.tree.leaves(after), jax.tree.leaves(before), strict=True):
+        np.testing.assert_array_equal(one[~others], other[~others])
+    people = [jax.tree.leaves((sample[:2], *rest)) for sample, *rest in (after, before)]
+    for one, other in zip(*people, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.jit
+def test_nobody_is_pushed_by_a_robot_that_begins_inside_them(env: Any, keys: jax.Array):
+    bank = load_bank(TASK, ROBOT)
+    for key in keys[: len(INSIDE)]:
+        state = env.reset(key)
+        row = np.all(bank.arm_angles == state.episode.placement.arm_angles, axis=1)
+        assert row.sum() == 1
+        state = env.step(state, np.zeros(env.action_size, np.float32))
+        assert 0.0 <= state.metrics["force/peak_on_human"] < 100.0

@@ -10,6 +10,7 @@ from benchmarks.deviations import collect
 from benchmarks.parity import pressing
 
 
+@pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize("name", pressing.TASKS)
 def test_slow_presses_have_assistive_gyms_force(name: str):

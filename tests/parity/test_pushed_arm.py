@@ -29,6 +29,7 @@ def test_recorded_pushes_are_about_contact_and_can_be_repeated():
         assert np.median(pushed_arm.apart(again, ag, 40)[0]) < 0.02
 
 
+@pytest.mark.slow
 def test_the_robot_goes_where_it_goes_in_assistive_gym(mine: pushed_arm.Paths):
     joints = {t: pushed_arm.apart(mine, pushed_arm.recorded(), t)[0] for t in (5, 10, 20)}
     assert np.median(joints[5]) < 0.02
@@ -37,6 +38,7 @@ def test_the_robot_goes_where_it_goes_in_assistive_gym(mine: pushed_arm.Paths):
     assert np.median(joints[20]) < 0.12
 
 
+@pytest.mark.slow
 def test_the_arm_gives_way_as_in_assistive_gym(mine: pushed_arm.Paths):
     ag = pushed_arm.recorded()
     assert np.median(pushed_arm.apart(mine, ag, 20)[1]) < pushed_arm.WRIST_APART

@@ -17,17 +17,20 @@ def rows() -> list[starts.Row]:
     return starts.rows()
 
 
+@pytest.mark.slow
 def test_rows_hold_or_name_a_deviation(rows: list[starts.Row]):
     assert len(rows) > 150
     assert_rows_hold_or_name_a_deviation(rows)
     assert np.mean([row.holds for row in rows]) > 0.85
 
 
+@pytest.mark.slow
 def test_same_rest_pose_gives_the_same_arm(rows: list[starts.Row]):
     replayed = [row for row in rows if "replayed" in row.quantity]
     assert len(replayed) == len(starts.REPLAYED) and all(row.holds for row in replayed)
 
 
+@pytest.mark.slow
 def test_jacos_families_and_joints_are_assistive_gyms(rows: list[starts.Row]):
     """40 resets each, 37 of ArmManipulation and 19 of Dressing: enough to see proportions."""
     for row in rows:

@@ -150,6 +150,7 @@ def test_acting_and_learning_never_round_to_tf32():
     assert all(found and all(found) for found in programs)
 
 
+@pytest.mark.slow
 @CRITICS
 @pytest.mark.parametrize(
     ("agent", "other"),
@@ -231,6 +232,7 @@ def test_one_learner_reads_what_is_hidden_too():
     assert not same_bytes(plain.policy.weights, run.policy.weights)
 
 
+@pytest.mark.slow
 @CRITICS
 def test_restored_learners_learn_on_exactly_as_those_that_were_never_saved(tmp_path, central):
     config, env = dataclasses.replace(SMALL, central_critic=central), FakePairEnv()

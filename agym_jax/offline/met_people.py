@@ -61,6 +61,8 @@ class _Stage:
         self.model, self.data = scene.model, scene.data
         self.bodies = [self.model.body(f"human/{x.name}").id for x in body.LINKS]
         self.people = [self.model.geom(f"human/{x}").id for x in body.SHAPES]
+        round_shapes = (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE)
+        assert np.isin(self.model.geom_type[self.people], round_shapes).all()  # see _near
         self.hinges = [self.model.joint(x).id for x in self.joints]
         self.arms = np.unique(scene.outside[:, 0])
         self.pos, self.mat = [], []
@@ -96,7 +98,7 @@ class _Stage:
         return found
 
     def _near(self) -> np.ndarray:
-        """Whether the ball around a shape of an arm meets a shape of the person (K, n_arm, n_human).
+        """Whether the bounding ball of a shape of an arm meets a shape of the person (K, n_arm, n_human).
 
         The person's are spheres and capsules: all points at most a radius from a segment, their z axis.
         """

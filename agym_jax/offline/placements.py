@@ -60,7 +60,8 @@ def add_meets(task: Task, robot: RobotSpec) -> tuple[np.ndarray, Path]:
         the table, bool (P, K), and the file.
     """
     bank, source, path = load_bank(task, robot), find_bank(task, robot), bank_path(task, robot)
-    _check_folder(path)
+    if task.human.postures:  # otherwise, meets_of says that there is nothing to write
+        _check_folder(path)
     remedy = f"Build it again with: {build_command(task, robot)}"
     arrays = read_arrays(source, "placement bank", SHAPES, MissingPlacementError, remedy)
     meets = meets_of(task, robot, bank)

@@ -1,7 +1,7 @@
 """Where the robot stands as an episode begins: a placement that does not meet the person who was drawn.
 
-People of sizes between those of the bank of postures lie in the posture of one of its rows; whom a placement
-meets is then told by the person of that row, who is of about their size.
+People of sizes between those of the bank of postures lie in the posture of one of its rows; whether a
+placement meets them is then judged by the person of that row, who is of about their size.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def load_starts(task: Task, robot: RobotSpec) -> Starts:
 
 
 def draw_start(key: Array, starts: Starts, posture: Array | None) -> Placement:
-    """Draw a placement; where it meets the person another one that does not, if there is any.
+    """Draw a placement; where it meets the person, another one that does not, if there is one.
 
     Args:
         key: PRNG key.

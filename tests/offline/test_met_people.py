@@ -81,7 +81,7 @@ def test_the_table_is_what_compiled_scenes_say(task: str, robot: str):
     people = rows_of(load_postures(spec.human.postures), [3, 372, 600, 740])
     table = meets_of(spec, machine, bank, people)
     assert table.shape == (4, 12)
-    for found, i in zip(table, range(4), strict=True):
+    for i, found in enumerate(table):
         np.testing.assert_array_equal(found, slowly(spec, machine, bank, people.row(i)), str(i))
     assert 3 < table.sum() < 45
 

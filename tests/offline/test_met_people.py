@@ -20,6 +20,7 @@ from agym_jax.human.posture import Postures, load_postures
 from agym_jax.offline import met_people, placements
 from agym_jax.offline.met_people import meets_of
 from agym_jax.robots import ROBOTS
+from agym_jax.sim.index import ancestors
 from agym_jax.sim.scene import compose
 from agym_jax.spec import RobotSpec, Task
 from agym_jax.tasks import TASKS
@@ -60,14 +61,6 @@ def slowly(task: Task, robot: RobotSpec, bank: Placement, human: Postures) -> np
         gaps = (mujoco.mj_geomDistance(model, data, i, j, 0.1, None) for i in moved for j in people)
         found.append(min(gaps) < 0.0)
     return np.array(found)
-
-
-def ancestors(model: mujoco.MjModel, body: int) -> set[int]:
-    found = set()
-    while body:
-        found.add(body)
-        body = int(model.body_parentid[body])
-    return found
 
 
 @pytest.mark.parametrize("robot", ["Jaco", "PR2"])  # one arm; two, and shapes of other kinds

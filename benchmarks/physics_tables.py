@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from operator import itemgetter
 from pathlib import Path
 
@@ -33,6 +34,31 @@ def _peak(line: Line) -> str:
 
 def _actions(line: Line) -> str:
     return {"random": "random", "shipped": "the shipped policy's"}[line.get("policy", "random")]
+
+
+def met_starts(folder: Path = RESULTS) -> str:
+    """Episodes whose placement, as first drawn, begins inside the person."""
+
+    def found(when: str, name: str) -> Callable[[Line], object]:
+        return lambda x: x[f"{when}/{name}"]
+
+    def peak(when: str) -> Callable[[Line], str]:
+        return lambda x: f"{x[f'{when}/peak']:,.0f} N"
+
+    columns = {
+        "environment": ORDER,
+        "physics": lambda x: x["impl"],
+        "such episodes": lambda x: f"{x['starts']:,} of {x['draws']:,}",
+        "steps of each": lambda x: x["num_steps"],
+        "NaN, before": found("before", "nan"),
+        "more than 300 N, before": found("before", "rough"),
+        "largest force, before": peak("before"),
+        "NaN, now": found("now", "nan"),
+        "more than 300 N, now": found("now", "rough"),
+        "largest force, now": peak("now"),
+    }
+    lines = read_results("met_starts", ("env", "impl", "num_steps"), folder)
+    return table(lines, columns, lambda x: (x["env"], x["impl"]))
 
 
 def reach(folder: Path = RESULTS) -> str:

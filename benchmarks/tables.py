@@ -59,6 +59,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "torch-overhead": speed_tables.torch_overhead,
     "viewer-speed": speed_tables.viewer_speed,
     "nan": physics_tables.nan,
+    "met-starts": physics_tables.met_starts,
     "reach": physics_tables.reach,
     "reach-mouth": physics_tables.reach_mouth,
     "inside": physics_tables.inside,

@@ -173,8 +173,8 @@ def pair_friction(kind: str, task: Task, robot: RobotSpec) -> float:
 def pair_rolling(kind: str, task: Task, robot: RobotSpec) -> float:
     """Rolling and spinning friction of one kind of pair [m]; 0 for those that resist sliding only.
 
-    Bullet's is ``r1 * f2 + r2 * f1`` of two materials' lengths and friction coefficients. Only the bed has a length (``no-rolling``). For a
-    person's limbs it is ``SeatSpec.limb_rolling`` where that is given, which is not multiplied (``bed-contact``).
+    Bullet's is ``r1 * f2 + r2 * f1`` of two materials' lengths and friction coefficients. Only the bed has a length (``no-rolling``). For
+    limbs it is ``SeatSpec.limb_rolling``, and for tools and robots ``tool_rolling``, where given; these are not multiplied (``bed-contact``).
 
     Args:
         kind: a key of ``contact_pairs``.
@@ -184,8 +184,9 @@ def pair_rolling(kind: str, task: Task, robot: RobotSpec) -> float:
     one, other = sides(kind)
     if other != "seat":
         return 0.0
-    given = task.seat.limb_rolling if one == "human" else None
-    return task.seat.rolling * _materials(kind, task, robot)[0] if given is None else given
+    seat = task.seat
+    given = seat.limb_rolling if one == "human" else seat.tool_rolling
+    return seat.rolling * _materials(kind, task, robot)[0] if given is None else given
 
 
 def sides(kind: str) -> tuple[str, str]:

@@ -128,9 +128,9 @@ class ArmManipulation:
     arms: tuple[str, ...] = ("left", "right")
     goals: tuple[tuple[str, ...], ...] = (("right_forearm", "waist"), ("right_hand", "hips"))
     tool: ToolSpec = SCOOPER
-    # AG arm_manipulation.py reset: after the first of its two settles; limb_rolling: deviation bed-contact
+    # AG arm_manipulation.py reset: after the first of its two settles; limb_rolling, tool_rolling: deviation bed-contact
     seat: SeatSpec = replace(
-        BED, friction=0.3, rolling=0.3, bears_upper_arm=True, limb_rolling=0.28
+        BED, friction=0.3, rolling=0.3, bears_upper_arm=True, limb_rolling=0.28, tool_rolling=0.6
     )
     human: HumanSpec = HumanSpec(
         joints=RIGHT_ARM,

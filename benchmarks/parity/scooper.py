@@ -1,0 +1,110 @@
+"""A scooper that presses on the bed.
+
+Policies that were trained here played ten episodes with each robot in ArmManipulation of AG, where a scooper presses on the mattress's edge in
+74 to 89 % of the control steps. From states of these episodes, 1.5 s apart, in which it does, the next five actions (0.5 s) are played here in
+C MuJoCo, from the same joint angles and speeds of robot and person, with AG's masses and motors (5 N m). Values are medians over these
+states: by how much the robot's joint that turned farthest turned, and how far the robot's joint that is farthest from AG's is from it, in AG 0.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import agym_jax
+from agym_jax.human.pose import BodyPose
+from agym_jax.human.population import Population
+from agym_jax.robots import ROBOTS
+from agym_jax.sim.episode import make_episode
+from agym_jax.state import Episode
+from agym_jax.variation import RobotVariation
+from benchmarks.parity.row import Row, traces
+
+APART = 0.03  # as for arms that touch nothing [rad]
+TURNED = 0.03  # [rad]
+
+
+class Replays(NamedTuple):
+    """Joints of a robot 0.5 s after each state."""
+
+    turned: np.ndarray  # here, since then [rad]                              (n, n_arm)
+    turned_there: np.ndarray  # in AG [rad]                                   (n, n_arm)
+
+    @property
+    def apart(self) -> np.ndarray:
+        """Of the joint that is farthest from AG's [rad] (n,)."""
+        return abs(self.turned - self.turned_there).max(-1)
+
+
+@functools.cache
+def replays(robot: str, rolling: float | None = None) -> Replays:
+    """The recorded actions, played here.
+
+    Args:
+        robot: its name, such as ``"Jaco"``.
+        rolling: rolling and spinning friction of the robot and its tools on the bed [m]; the task's unless given.
+    """
+    kept = _kept(robot)
+    env = agym_jax.make(
+        f"ArmManipulation{robot}-v0", impl="native", humans=Population(masses="ag"),
+        robot=RobotVariation(strength=(0.5, 0.5)),
+    )  # fmt: skip
+    physics, index, aim = env.physics, env.scene.index, jax.jit(env.controller.targets)
+    if rolling is not None:
+        model = env.scene.model
+        for i in range(model.npair):
+            a, b = (model.geom(x[i]).name for x in (model.pair_geom1, model.pair_geom2))
+            if "seat/" in a + b and "human/" not in a + b:
+                physics.model.pair_friction[i, 2:] = rolling
+    episodes = [_episode(env, kept, case) for case in range(len(kept["sex"]))]
+    turned = []
+    for i, case in enumerate(kept["case"]):
+        data = physics.reset(physics.make_data(), episodes[case])
+        q, v = np.array(data.qpos), np.array(data.qvel)
+        q[index.robot_qpos], v[index.robot_dof] = kept["q"][i], kept["qd"][i]
+        q[index.human_qpos], v[index.human_dof] = kept["person_q"][i], kept["person_qd"][i]
+        data = data.replace(qpos=q, qvel=v)
+        for action in kept["actions"][i]:
+            targets = aim(episodes[case], data, jnp.asarray(action))
+            data, _, _ = physics.step(data, episodes[case], targets)
+        turned.append(np.array(data.qpos[index.robot_qpos]) - kept["q"][i])
+    return Replays(np.array(turned), kept["after"] - kept["q"])
+
+
+def _kept(robot: str) -> dict[str, np.ndarray]:
+    """What is recorded of a robot."""
+    start = f"{robot}_"
+    return {k.removeprefix(start): x for k, x in traces("scooper").items() if k.startswith(start)}
+
+
+def _episode(env: Any, kept: dict[str, np.ndarray], case: int) -> Episode:
+    """An episode with a recorded person and base."""
+    drawn = env.reset(jax.random.PRNGKey(0)).episode
+    fields = dict.fromkeys(("stature", "girth", "strength"), 1.0)
+    fields |= {"sex": kept["sex"][case], "limit_scale": kept["scale"][case]}
+    fields = {name: jnp.float32(value) for name, value in fields.items()}
+    human = dataclasses.replace(drawn.human, **fields)
+    base, person = kept["base"][case], kept["human"][case]
+    place = dataclasses.replace(drawn.placement, base_pos=base[:3], base_quat=base[3:])
+    pose = BodyPose(person[:3], person[[6, 3, 4, 5]], person[7:])
+    return make_episode(env.scene, env.task.human, (human, pose, place, drawn.robot), np)
+
+
+def rows() -> list[Row]:
+    """The comparison."""
+    found = []
+    for robot in ROBOTS:
+        played = replays(robot)
+        here, there = (
+            float(np.median(abs(x).max(-1))) for x in (played.turned, played.turned_there)
+        )
+        what = f"{robot}: joint that turned farthest"
+        found.append(Row(what, "rad", there, here, TURNED, "bed-contact"))
+        what, apart = f"{robot}: joint farthest from AG's", float(np.median(played.apart))
+        found.append(Row(what, "rad", 0.0, apart, APART, "bed-contact"))
+    return found

@@ -112,7 +112,7 @@ def rows() -> list[Row]:
     return [
         *(Row(f"coefficient, {what}", "", x[0], farthest(x), 1e-4) for what, x in slides.items()),
         *(
-            Row(f"rolling and spinning, {what}", "m", x[0], farthest(x), 1e-4, "bed-contact" if what.startswith("person") else "")
+            Row(f"rolling and spinning, {what}", "m", x[0], farthest(x), 1e-4, "bed-contact" if what.startswith("person") or what.endswith("ArmManipulation") else "")
             for what, x in rolls.items()
         ),
         Row("tangential over normal force of a sliding tool, most", "", product, float(slid.max()), 0.05 * product),

@@ -81,7 +81,7 @@ class SeatSpec:
     bears_upper_arm: bool = False  # whether the upper arm may rest on it, not only forearm and hand
     rolling: float = 0.0  # rolling and spinning friction of its material [m]
     limb_rolling: float | None = None  # of a limb and the seat together [m]; None: by material
-    tool_rolling: float | None = None  # of a tool or the robot and the seat together [m]; None: by material
+    tool_rolling: float | None = None  # the same of a tool or the robot and the seat [m]
     pillow: tuple[str, ...] = ()  # collision geoms that bear the girdle, if also the upper arm
     props: tuple[Prop, ...] = ()  # what stands around it
 

@@ -17,9 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import agym_jax
-from agym_jax.human.pose import BodyPose
 from agym_jax.human.population import Population
+from agym_jax.human.pose import BodyPose
 from agym_jax.robots import ROBOTS
+from agym_jax.sim.c_mujoco import NativePhysics
 from agym_jax.sim.episode import make_episode
 from agym_jax.state import Episode
 from agym_jax.variation import RobotVariation
@@ -55,6 +56,7 @@ def replays(robot: str, rolling: float | None = None) -> Replays:
         robot=RobotVariation(strength=(0.5, 0.5)),
     )  # fmt: skip
     physics, index, aim = env.physics, env.scene.index, jax.jit(env.controller.targets)
+    assert isinstance(physics, NativePhysics)
     if rolling is not None:
         model = env.scene.model
         for i in range(model.npair):

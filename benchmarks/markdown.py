@@ -43,7 +43,7 @@ CHANGES: dict[str, tuple[tuple[str, ...], str]] = {
     ),
     "2026-11-26T16:25": (
         ("ArmManipulation",),
-        "scoopers and robots that press on the bed resist turning by 0.6 m, which brings them nearer to Assistive Gym's",
+        "the rolling friction of scoopers and robots on the bed is 0.6 m instead of 0.15, with which they move more like those of Assistive Gym",
     ),
 }  # fmt: skip
 """Changes of the physics that made earlier figures wrong: when (UTC, as in results) -> what the ids begin with, and what changed. Tables

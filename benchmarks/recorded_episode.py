@@ -16,8 +16,9 @@ from agym_jax.state import Episode, State
 
 
 def episode_as(
-    env: agym_jax.Env, angles: np.ndarray, sex: float, drawn: Episode | None = None, **person: Any
-) -> Episode:
+    env: agym_jax.Env, angles: np.ndarray, sex: float, drawn: Episode | None = None,
+    body: pose.BodyPose | None = None, **person: Any,
+) -> Episode:  # fmt: skip
     """An episode with a recorded person of Assistive Gym's sizes, and a robot in a recorded pose.
 
     Args:
@@ -25,6 +26,7 @@ def episode_as(
         angles: of the robot's joints [rad] (n_arm,).
         sex: 0 male, 1 female.
         drawn: what else an episode has, such as the robot's base; of seed 0 unless given.
+        body: how the person sits or lies; as usual in the task unless given.
         **person: further fields of ``Human``; without any, the person is unimpaired.
     """
     if drawn is None:
@@ -33,9 +35,12 @@ def episode_as(
     fields = unimpaired | {"tremor": np.zeros_like(drawn.human.tremor), "sex": sex} | person
     fields = {name: jnp.asarray(value, jnp.float32) for name, value in fields.items()}
     human, spec = dataclasses.replace(drawn.human, **fields), env.task.human
-    body = pose.typical(spec, sex, 1.0, 1.0, float(human.limit_scale))
+    if body is None:
+        body = pose.typical(spec, sex, 1.0, 1.0, float(human.limit_scale))
     place = dataclasses.replace(drawn.placement, arm_angles=jnp.asarray(angles, jnp.float32))
-    return make_episode(env.scene, spec, (human, jax.tree.map(jnp.float32, body), place, None), np)
+    return make_episode(
+        env.scene, spec, (human, jax.tree.map(jnp.float32, body), place, drawn.robot), np
+    )
 
 
 def begin_as(env: agym_jax.Env, state: State, episode: Episode, key: jax.Array) -> State:

@@ -61,7 +61,7 @@ class StartsConfig:
 def begin(env: agym_jax.Env, start: dict[str, np.ndarray]) -> State:
     """The state in which a recorded episode begins; its base stands so that the arm is seen as it was recorded."""
     seen = start["obs"]
-    person = {name: start[name] for name in ("strength", "limit_scale", "tremor")}
+    person: dict[str, Any] = {n: start[n] for n in ("strength", "limit_scale", "tremor")}
     state = env.reset(jax.random.PRNGKey(0))
 
     def stand(drawn: Episode) -> State:

@@ -12,10 +12,10 @@ ridge, and in MuJoCo's cone sliding, rolling and spinning share one bound: a lim
 of ArmManipulation, 0.15 m, a sudden push of 12, 20, 30 and 40 N at the elbow moves it by 5, 21, 33 and 35 cm within 0.5 s, in AG by 1, 1, 15 and 14 (medians of
 ten people). There, the person's arm has 0.28 m here, which was fitted to these pushes: 1, 2, 5 and 14 cm; where a man's elbow comes to rest is then 3 cm from AG's
 instead of 1, and an arm that falls is up to 1 cm inside the bed for 99 % of the time instead of 0.4.
-Scoopers and robots turn off the bed's edge more easily here, too: from states of AG's episodes in which a scooper presses on it, recorded actions turn
+Scoopers and robots roll off the bed's edge more easily here, too: from states of AG's episodes in which a scooper presses on it, recorded actions turn
 the joint that turns farthest by 0.17 (PR2), 0.18 (Jaco), 0.21 (Baxter) and 0.10 rad (Sawyer) within 0.5 s with 0.15 m, in AG by 0.05, 0.11, 0.06 and 0.04. In ArmManipulation they
 have 0.6 m here, which was fitted to these states (0.08, 0.15, 0.12 and 0.06 rad). A joint is then still up to 0.08 rad from AG's (medians), with 0.15 m up to 0.12: scoopers that stand still in AG
-creep here. More than 0.6 m, or more sliding friction, changes this little.
+creep here. More than 0.6 m, or more sliding friction, changes this little; three contacts for one, of twice the friction, by a fifth.
 In this cone, what turns in a contact also separates, by the angle times the length of the rolling friction, so that an
 arm that rests on the bed can hardly be lifted if that is long: with full actions for 2 s, an active person of BedBathing bends the elbow by 1.36 rad in
 AG, here by 0.09 with AG's 2.5 m, by 1.09 with 0.28 m and by 1.35 with 0.15 m. Hence the person's arm has 0.15 m in BedBathing, robots and tools 2.5 m. Upper arm and forearm then turn about

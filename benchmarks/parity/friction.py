@@ -64,6 +64,13 @@ def pairs() -> tuple[dict[str, Pair], dict[str, Pair]]:
     return sliding, rolling
 
 
+def is_given(pair: str) -> bool:
+    """Whether a task gives the rolling friction of a kind of pair itself, instead of its materials'."""
+    what, _, task = pair.partition(" in ")
+    seat = TASKS[task].seat
+    return (seat.limb_rolling if what.startswith("person") else seat.tool_rolling) is not None
+
+
 def farthest(pair: Pair) -> float:
     """Of our values the one that differs most from AG's."""
     ag, ours = pair
@@ -112,7 +119,7 @@ def rows() -> list[Row]:
     return [
         *(Row(f"coefficient, {what}", "", x[0], farthest(x), 1e-4) for what, x in slides.items()),
         *(
-            Row(f"rolling and spinning, {what}", "m", x[0], farthest(x), 1e-4, "bed-contact" if what.startswith("person") or what.endswith("ArmManipulation") else "")
+            Row(f"rolling and spinning, {what}", "m", x[0], farthest(x), 1e-4, "bed-contact" if is_given(what) else "")
             for what, x in rolls.items()
         ),
         Row("tangential over normal force of a sliding tool, most", "", product, float(slid.max()), 0.05 * product),

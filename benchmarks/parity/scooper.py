@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,13 +21,14 @@ from agym_jax.human.population import Population
 from agym_jax.human.pose import BodyPose
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.c_mujoco import NativePhysics
-from agym_jax.sim.episode import make_episode
+from agym_jax.sim.contacts import contact_pairs, sides
 from agym_jax.state import Episode
 from agym_jax.variation import RobotVariation
 from benchmarks.parity.row import Row, traces
+from benchmarks.recorded_episode import episode_as
 
 APART = 0.03  # as for arms that touch nothing [rad]
-TURNED = 0.03  # [rad]
+TURNED_APART = 0.03  # [rad]
 
 
 class Replays(NamedTuple):
@@ -50,7 +51,7 @@ def replays(robot: str, rolling: float | None = None) -> Replays:
         robot: its name, such as ``"Jaco"``.
         rolling: rolling and spinning friction of the robot and its tools on the bed [m]; the task's unless given.
     """
-    kept = _kept(robot)
+    kept = _recorded(robot)
     env = agym_jax.make(
         f"ArmManipulation{robot}-v0", impl="native", humans=Population(masses="ag"),
         robot=RobotVariation(strength=(0.5, 0.5)),
@@ -58,12 +59,13 @@ def replays(robot: str, rolling: float | None = None) -> Replays:
     physics, index, aim = env.physics, env.scene.index, jax.jit(env.controller.targets)
     assert isinstance(physics, NativePhysics)
     if rolling is not None:
-        model = env.scene.model
-        for i in range(model.npair):
-            a, b = (model.geom(x[i]).name for x in (model.pair_geom1, model.pair_geom2))
-            if "seat/" in a + b and "human/" not in a + b:
-                physics.model.pair_friction[i, 2:] = rolling
-    episodes = [_episode(env, kept, case) for case in range(len(kept["sex"]))]
+        touches = contact_pairs(env.task, ROBOTS[robot], env.scene.moving)
+        for kind, pairs in touches.items():
+            if sides(kind)[1] == "seat" and sides(kind)[0] != "human":
+                rows = [physics.model.pair(f"{a}|{b}").id for a, b in pairs]
+                physics.model.pair_friction[rows, 2:] = rolling
+    drawn = env.reset(jax.random.PRNGKey(0)).episode
+    episodes = [_episode(env, drawn, kept, case) for case in range(len(kept["sex"]))]
     turned = []
     for i, case in enumerate(kept["case"]):
         data = physics.reset(physics.make_data(), episodes[case])
@@ -78,23 +80,29 @@ def replays(robot: str, rolling: float | None = None) -> Replays:
     return Replays(np.array(turned), kept["after"] - kept["q"])
 
 
-def _kept(robot: str) -> dict[str, np.ndarray]:
+def _recorded(robot: str) -> dict[str, np.ndarray]:
     """What is recorded of a robot."""
     start = f"{robot}_"
     return {k.removeprefix(start): x for k, x in traces("scooper").items() if k.startswith(start)}
 
 
-def _episode(env: Any, kept: dict[str, np.ndarray], case: int) -> Episode:
-    """An episode with a recorded person and base."""
-    drawn = env.reset(jax.random.PRNGKey(0)).episode
-    fields = dict.fromkeys(("stature", "girth", "strength"), 1.0)
-    fields |= {"sex": kept["sex"][case], "limit_scale": kept["scale"][case]}
-    fields = {name: jnp.float32(value) for name, value in fields.items()}
-    human = dataclasses.replace(drawn.human, **fields)
+def _episode(env: agym_jax.Env, drawn: Episode, kept: dict[str, np.ndarray], case: int) -> Episode:
+    """An episode with a recorded person and base.
+
+    Args:
+        env: of the robot.
+        drawn: what else an episode has.
+        kept: from ``_recorded``. ``base``: position and quaternion wxyz of the robot's. ``human``: position and quaternion
+            xyzw of the chest, and the angle of every joint.
+        case: which episode.
+    """
     base, person = kept["base"][case], kept["human"][case]
     place = dataclasses.replace(drawn.placement, base_pos=base[:3], base_quat=base[3:])
-    pose = BodyPose(person[:3], person[[6, 3, 4, 5]], person[7:])
-    return make_episode(env.scene, env.task.human, (human, pose, place, drawn.robot), np)
+    body = BodyPose(person[:3], person[[6, 3, 4, 5]], person[7:])
+    return episode_as(
+        env, np.asarray(place.arm_angles), float(kept["sex"][case]),
+        dataclasses.replace(drawn, placement=place), body, limit_scale=kept["scale"][case],
+    )  # fmt: skip
 
 
 def rows() -> list[Row]:
@@ -106,7 +114,7 @@ def rows() -> list[Row]:
             float(np.median(abs(x).max(-1))) for x in (played.turned, played.turned_there)
         )
         what = f"{robot}: joint that turned farthest"
-        found.append(Row(what, "rad", there, here, TURNED, "bed-contact"))
+        found.append(Row(what, "rad", there, here, TURNED_APART, "bed-contact"))
         what, apart = f"{robot}: joint farthest from AG's", float(np.median(played.apart))
         found.append(Row(what, "rad", 0.0, apart, APART, "bed-contact"))
     return found

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from parity_rows import assert_rows_hold_or_name_a_deviation
 
-from agym_jax.tasks import TASKS
 from benchmarks.parity import scooper
 
-OF_THE_MATERIALS = 0.15  # rolling friction of tool and mattress, as Bullet multiplies [m]
+MATERIALS_ROLLING = 0.15  # rolling friction of tool and mattress, as Bullet multiplies [m]
 
 
 @pytest.mark.slow
@@ -21,14 +20,8 @@ def test_rows_hold_or_name_a_deviation():
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["PR2", "Sawyer"])
 def test_robots_are_nearer_to_assistive_gyms_than_with_the_materials_rolling_friction(robot: str):
-    ours, less = scooper.replays(robot), scooper.replays(robot, OF_THE_MATERIALS)
+    ours, less = scooper.replays(robot), scooper.replays(robot, MATERIALS_ROLLING)
     assert np.median(ours.apart) < 0.75 * np.median(less.apart)
-    # 1.6 times as far as in AG, and 2.5 and 3.3 times with the materials' friction
+    # 1.6 times as far as in AG; with the materials' friction 3.3 (PR2) and 2.6 times (Sawyer)
     far = [np.median(abs(x).max(-1)) for x in (ours.turned, ours.turned_there, less.turned)]
     assert far[1] < far[0] < 2.0 * far[1] < far[2]
-
-
-def test_the_tasks_rolling_friction_holds_for_tools_and_robots_alone():
-    seat = TASKS["ArmManipulation"].seat
-    assert seat.tool_rolling is not None and seat.limb_rolling is not None
-    assert OF_THE_MATERIALS < seat.limb_rolling < seat.tool_rolling

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -55,3 +57,38 @@ def begin_as(env: agym_jax.Env, state: State, episode: Episode, key: jax.Array) 
     data = env.physics.reset(state.data, episode)
     fields, _ = env._begin_task(key, data, episode)
     return state.replace(data=data, episode=episode, **fields)
+
+
+def play_on(
+    env: agym_jax.Env, episode: Episode, start: Mapping[str, np.ndarray], actions: np.ndarray
+) -> np.ndarray:
+    """Play actions from a state in the course of an episode.
+
+    Args:
+        env: with ``impl="native"``.
+        episode: of the person and the robot's base.
+        start: angles and speeds of the robot's joints ``q``, ``qd`` (n_arm,) and of the person's ``person_q``, ``person_qd``, those
+            that do not move here at the end or left out [rad, rad/s].
+        actions: one for each control step (n, n_arm).
+
+    Returns:
+        The robot's angles after them [rad] (n_arm,).
+    """
+    physics, index = env.physics, env.scene.index
+    data = physics.reset(physics.make_data(), episode)
+    q, v, moving = np.array(data.qpos), np.array(data.qvel), len(index.human_qpos)
+    q[index.robot_qpos], v[index.robot_dof] = start["q"], start["qd"]
+    q[index.human_qpos] = start["person_q"][:moving]
+    v[index.human_dof] = start["person_qd"][:moving]
+    data, aim = data.replace(qpos=q, qvel=v), _aim(env)
+    for action in actions:
+        data, _, _ = physics.step(
+            data, episode, aim(episode, data, jnp.asarray(action, jnp.float32))
+        )
+    return np.array(data.qpos[index.robot_qpos])
+
+
+@functools.cache
+def _aim(env: agym_jax.Env) -> Any:
+    """What the motors are told, compiled once for each environment."""
+    return jax.jit(env.controller.targets)

@@ -13,7 +13,6 @@ import functools
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import agym_jax
@@ -25,7 +24,7 @@ from agym_jax.sim.contacts import contact_pairs, sides
 from agym_jax.state import Episode
 from agym_jax.variation import RobotVariation
 from benchmarks.parity.row import Row, traces
-from benchmarks.recorded_episode import episode_as
+from benchmarks.recorded_episode import episode_as, play_on
 
 APART = 0.03  # as for arms that touch nothing [rad]
 TURNED_APART = 0.03  # [rad]
@@ -56,7 +55,7 @@ def replays(robot: str, rolling: float | None = None) -> Replays:
         f"ArmManipulation{robot}-v0", impl="native", humans=Population(masses="ag"),
         robot=RobotVariation(strength=(0.5, 0.5)),
     )  # fmt: skip
-    physics, index, aim = env.physics, env.scene.index, jax.jit(env.controller.targets)
+    physics = env.physics
     assert isinstance(physics, NativePhysics)
     if rolling is not None:
         touches = contact_pairs(env.task, ROBOTS[robot], env.scene.moving)
@@ -68,15 +67,8 @@ def replays(robot: str, rolling: float | None = None) -> Replays:
     episodes = [_episode(env, drawn, kept, case) for case in range(len(kept["sex"]))]
     turned = []
     for i, case in enumerate(kept["case"]):
-        data = physics.reset(physics.make_data(), episodes[case])
-        q, v = np.array(data.qpos), np.array(data.qvel)
-        q[index.robot_qpos], v[index.robot_dof] = kept["q"][i], kept["qd"][i]
-        q[index.human_qpos], v[index.human_dof] = kept["person_q"][i], kept["person_qd"][i]
-        data = data.replace(qpos=q, qvel=v)
-        for action in kept["actions"][i]:
-            targets = aim(episodes[case], data, jnp.asarray(action))
-            data, _, _ = physics.step(data, episodes[case], targets)
-        turned.append(np.array(data.qpos[index.robot_qpos]) - kept["q"][i])
+        start = {name: kept[name][i] for name in ("q", "qd", "person_q", "person_qd")}
+        turned.append(play_on(env, episodes[case], start, kept["actions"][i]) - start["q"])
     return Replays(np.array(turned), kept["after"] - kept["q"])
 
 

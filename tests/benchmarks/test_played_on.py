@@ -68,7 +68,9 @@ def test_actions_played_on_from_a_state_end_where_the_episode_does(env, states):
     here, there, forces = played(env, states, config)
     assert here.shape == there.shape == (4, 7) and np.abs(there).max() > 0.1
     off = np.abs(here - there)
-    assert np.median(off) < 2e-3 and off.max() < 0.03  # a state lacks what motors knew of the last step
+    assert (
+        np.median(off) < 2e-3 and off.max() < 0.03
+    )  # a state lacks what motors knew of the last step
     np.testing.assert_allclose(forces[:, 1], [0.0, 1.25, 5.0, 5.0])
 
 

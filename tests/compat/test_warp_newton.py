@@ -11,6 +11,7 @@ from compiled import compiled_human
 
 import agym_jax
 from agym_jax.compat.warp_newton import rebuild_hessians
+from agym_jax.tasks import TASKS
 
 wp = pytest.importorskip("warp", reason='needs pip install "agym_jax[warp]"')
 pytestmark = pytest.mark.warp
@@ -94,6 +95,7 @@ APPLIED = (
 )
 DRIVE_DAMPING = (0, 414.697815, 1.02669835, 2.37670326, 0.205874398, 0, 2.35311866)
 WORLDS = 256
+ROLLING = 0.15  # of the robot and its tool on the bed, when the state was recorded [m]
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +104,9 @@ def model() -> mujoco.MjModel:
     key = jax.random.split(jax.random.PRNGKey(3), 16)[7]  # whose arm it was
     model = compiled_human(env, env.reset(key).episode)
     model.opt.iterations = model.opt.ls_iterations = 20  # as in the environments
+    tools = np.isclose(model.pair_friction[:, 2], TASKS["ArmManipulation"].seat.tool_rolling)
+    assert tools.any()
+    model.pair_friction[tools, 2:] = ROLLING
     robot = np.arange(model.nv) < N_ROBOT
     model.dof_solref[:] = 0
     model.dof_solref[robot, 1] = -np.array(DRIVE_DAMPING)

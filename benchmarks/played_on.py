@@ -12,9 +12,8 @@ motors knew of the physics step before: an episode of our own, played on so, end
 
 from __future__ import annotations
 
-import dataclasses
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,14 +26,11 @@ import agym_jax
 from agym_jax.errors import ArgumentError
 from agym_jax.flags import Count
 from agym_jax.human.population import Population
-from agym_jax.human.pose import BodyPose
 from agym_jax.state import Episode, State
 from agym_jax.variation import RobotVariation
 from benchmarks.keep import keep
-from benchmarks.recorded_episode import begin_as, episode_as, play_on
+from benchmarks.recorded_episode import begin_as, episode_in_place, play_on, read_recorded
 
-KINDS = ("tool on seat", "robot on seat", "tool on person", "robot on person")
-"""Columns of the file's ``force``."""
 TOUCHES = 0.2  # mean normal force from which on it counts [N]
 OFF = 0.03  # of what the robot sees at the start [m or rad]; a person's wrist may be clipped to its limits
 
@@ -69,14 +65,10 @@ def episode_of(env: agym_jax.Env, states: dict[str, np.ndarray], i: int) -> Epis
         states: of the file.
         i: which episode.
     """
-    drawn = env.reset(jax.random.PRNGKey(0)).episode
-    base, chest = states["base"][i], states["chest"][i]
-    place = dataclasses.replace(drawn.placement, base_pos=base[:3], base_quat=base[3:])
-    person = {name: states[name][i] for name in ("strength", "limit_scale")}
-    person["tremor"] = states["tremor"][i][: np.size(drawn.human.tremor)]
-    body = BodyPose(chest[:3], chest[3:], states["body"][i])
-    drawn = dataclasses.replace(drawn, placement=place)
-    return episode_as(env, states["q"][i, 0], float(states["sex"][i]), drawn, body, **person)
+    place = {name: states[name][i] for name in ("base", "chest", "body")}
+    person: dict[str, Any] = {name: states[name][i] for name in ("strength", "limit_scale")}
+    person["tremor"] = states["tremor"][i][: len(env.scene.moving)]  # of joints that move here
+    return episode_in_place(env, place, states["q"][i, 0], float(states["sex"][i]), **person)
 
 
 def begin(env: agym_jax.Env, states: dict[str, np.ndarray], i: int) -> State:
@@ -96,11 +88,6 @@ def begin(env: agym_jax.Env, states: dict[str, np.ndarray], i: int) -> State:
     return state
 
 
-def moments(states: dict[str, np.ndarray], i: int, config: PlayedOnConfig) -> Iterator[int]:
-    """Control steps from which an episode is played on."""
-    return iter(range(0, states["action"].shape[1] - config.steps + 1, config.every))
-
-
 def played(
     env: agym_jax.Env, states: dict[str, np.ndarray], config: PlayedOnConfig
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -108,12 +95,12 @@ def played(
 
     Returns:
         how far each joint of the robot turned here and there [rad] (n, n_arm), (n, n_arm), and the mean normal forces there by
-        ``KINDS`` [N] (n, 4).
+        the file's ``kinds`` [N] (n, 4).
     """
     here, there, forces = [], [], []
     for i in range(len(states["seed"])):
         episode = episode_of(env, states, i)
-        for k in moments(states, i, config):
+        for k in range(0, states["action"].shape[1] - config.steps + 1, config.every):
             start = {n: states[n][i, k] for n in ("q", "qd", "person_q", "person_qd")}
             after = play_on(env, episode, start, states["action"][i, k : k + config.steps])
             here.append(after - start["q"])
@@ -123,35 +110,44 @@ def played(
     return np.array(here), np.array(there), np.array(forces)
 
 
-def by_contact(here: np.ndarray, there: np.ndarray, forces: np.ndarray) -> dict[str, Any]:
-    """Medians of the joints that are farthest off, and that turned farthest there and here, by what touched what [rad]."""
+def by_contact(
+    here: np.ndarray, there: np.ndarray, forces: np.ndarray, kinds: Sequence[str]
+) -> dict[str, Any]:
+    """Medians of the joints that are farthest off, and that turned farthest there and here, by what touched what [rad].
+
+    Args:
+        here: from ``played``.
+        there: from ``played``.
+        forces: from ``played``.
+        kinds: of the columns of ``forces``.
+    """
     touches = forces > TOUCHES
-    kinds = {"nothing": ~touches.any(1)}
-    kinds |= {kind: touches[:, c] & (touches.sum(1) == 1) for c, kind in enumerate(KINDS)}
-    kinds |= {"several": touches.sum(1) > 1}
+    alone = touches.sum(1) == 1
+    groups = {
+        "nothing": ~touches.any(1),
+        **{k: touches[:, c] & alone for c, k in enumerate(kinds)},
+    }
+    groups |= {"several": touches.sum(1) > 1}
     farthest = [np.abs(x).max(-1) for x in (here - there, there, here)]
     return {
         kind: [int(mine.sum()), *(round(float(np.median(x[mine])), 4) for x in farthest)]
-        for kind, mine in kinds.items()
+        for kind, mine in groups.items()
         if mine.any()
     }
 
 
 def measure(config: PlayedOnConfig) -> dict[str, Any]:
     """The fields of the result."""
+    states = read_recorded(config.states, "benchmarks/states_in_assistive_gym.py")
     robot = RobotVariation(strength=(config.strength, config.strength))
-    if config.strength == 1.0:
-        robot = RobotVariation()
     env = agym_jax.make(config.env_name, impl="native", humans=Population(masses=config.masses), robot=robot)  # fmt: skip
-    with np.load(config.states, allow_pickle=False) as file:
-        states = dict(file)
     begin(env, states, 0)  # before long work
     found = {"episodes": len(states["seed"]), "there": int(states["success"].sum())}
     if config.policy:
         policy = agym_jax.load_policy(config.policy)
         here = [succeeds(env, begin(env, states, i), policy) for i in range(found["episodes"])]
         found |= {"here": sum(here), "both": int((np.array(here) & states["success"]).sum())}
-    table = by_contact(*played(env, states, config))
+    table = by_contact(*played(env, states, config), states["kinds"].tolist())
     titles = {f"{k}: n, off, turned there, here": v for k, v in table.items()}
     settings = {"env": config.env_name, "masses": config.masses, "strength": config.strength, "steps": config.steps}  # fmt: skip
     return settings | found | titles

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from agym_jax.data.assets import asset_root
 from agym_jax.data.npz import read_npz
+from agym_jax.errors import ArgumentError
 from agym_jax.policy.policy import shipped
 from agym_jax.registry import static_id
 from benchmarks.markdown import (
@@ -50,7 +51,11 @@ def _success(line: Line) -> str:
 
 
 def chosen_among(folder: Path = RESULTS) -> str:
-    """Among how many seeds each shipped policy was chosen, in a sentence."""
+    """Among how many seeds each shipped policy was chosen, in a sentence.
+
+    Raises:
+        ArgumentError: the results have no line of a policy's training.
+    """
     chosen = {
         (x["env"], x.get("policy_commit", x["commit"])[:COMMIT], x["chosen"]): len(x["seeds"])
         for name in ("selection", "gentle", "continued", "candidates")
@@ -61,13 +66,16 @@ def chosen_among(folder: Path = RESULTS) -> str:
     for path in sorted((asset_root() / "policies").glob("*.npz")):
         info = read_npz(path)[1]
         key = (path.stem, str(info.get("commit"))[:COMMIT], info.get("seed"))
-        among.setdefault(chosen.get(key, 1), []).append(path.stem.removesuffix("-v0"))
+        if key not in chosen:
+            raise ArgumentError(
+                f"{path.stem}: no result line tells of the training of its policy (commit {key[1]}, seed {key[2]})."
+            )
+        among.setdefault(chosen[key], []).append(path.stem.removesuffix("-v0"))
     parts = []
     for count, names in sorted(among.items(), reverse=True):
         listed = ", ".join(names) if len(names) <= FEW else str(len(names))
         are = "is" if len(names) == 1 else "are"
-        whose = f"the best of {count} seeds" if count > 1 else "of a single seed"
-        parts.append(f"{listed} {are} {whose}")
+        parts.append(f"{listed} {are} the best of {count} seeds")
     return f"Of {sum(map(len, among.values()))} shipped policies, {'; '.join(parts)}."
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,9 +13,26 @@ import jax.numpy as jnp
 import numpy as np
 
 import agym_jax
+from agym_jax.errors import ArgumentError
 from agym_jax.human import pose
 from agym_jax.sim.episode import make_episode
 from agym_jax.state import Episode, State
+
+
+def read_recorded(path: Path, program: str) -> dict[str, np.ndarray]:
+    """The arrays of a file that was recorded in Assistive Gym.
+
+    Args:
+        path: of the file.
+        program: what records it, for the message.
+
+    Raises:
+        ArgumentError: there is no such file.
+    """
+    if not path.is_file():
+        raise ArgumentError(f"{path}: no such file. It is recorded in Assistive Gym, by {program}.")
+    with np.load(path, allow_pickle=False) as file:
+        return dict(file)
 
 
 def episode_as(
@@ -43,6 +61,31 @@ def episode_as(
     return make_episode(
         env.scene, spec, (human, jax.tree.map(jnp.float32, body), place, drawn.robot), np
     )
+
+
+def episode_in_place(
+    env: agym_jax.Env,
+    place: Mapping[str, np.ndarray],
+    angles: np.ndarray,
+    sex: float,
+    **person: Any,
+) -> Episode:
+    """An episode in which a robot's base and a person are where they were recorded.
+
+    Args:
+        env: with ``impl="native"``.
+        place: ``base`` and ``chest``, poses in the world as position [m] and quaternion wxyz (7,); ``body``, angles of all the
+            person's joints in the order of ``body.JOINTS`` [rad] (41,).
+        angles: of the robot's joints [rad] (n_arm,).
+        sex: 0 male, 1 female.
+        **person: further fields of ``Human``, see ``episode_as``.
+    """
+    drawn = env.reset(jax.random.PRNGKey(0)).episode
+    base, chest = jnp.asarray(place["base"], jnp.float32), place["chest"]
+    stands = dataclasses.replace(drawn.placement, base_pos=base[:3], base_quat=base[3:])
+    body = pose.BodyPose(chest[:3], chest[3:], place["body"])
+    drawn = dataclasses.replace(drawn, placement=stands)
+    return episode_as(env, angles, sex, drawn, body, **person)
 
 
 def begin_as(env: agym_jax.Env, state: State, episode: Episode, key: jax.Array) -> State:

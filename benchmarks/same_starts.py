@@ -32,7 +32,7 @@ from agym_jax.registry import parse
 from agym_jax.sim.c_mujoco import NativePhysics
 from agym_jax.state import Episode, State
 from benchmarks.keep import keep
-from benchmarks.recorded_episode import begin_as, episode_as
+from benchmarks.recorded_episode import begin_as, episode_as, read_recorded
 
 HELD = math.radians(20.0)
 """Largest turn of a tool in Assistive Gym's hand that counts as held [rad]."""
@@ -94,6 +94,7 @@ def measure(config: StartsConfig) -> dict[str, Any]:
     """Play the episodes; the fields of the result."""
     if parse(config.env_name).task.name != "ScratchItch":
         raise ArgumentError(f"{config.env_name}: starts are recorded of ScratchItch alone.")
+    starts = read_recorded(config.starts, "benchmarks/in_assistive_gym.py --starts")
     env = agym_jax.make(config.env_name, impl="native", humans=Population(masses=config.masses))
     assert isinstance(env.physics, NativePhysics)
     model = env.physics.model
@@ -101,8 +102,6 @@ def measure(config: StartsConfig) -> dict[str, Any]:
     if config.round_cone:
         model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     policy = agym_jax.load_policy(config.env_name)
-    with np.load(config.starts) as file:
-        starts = dict(file)
     here = []
     for i, seed in enumerate(starts["seed"]):
         state = begin(env, {name: values[i] for name, values in starts.items()})

@@ -3,10 +3,10 @@
     python benchmarks/states_in_assistive_gym.py BedBathingPR2-v0 POLICY STATES.npz --num-episodes 10 --seed 7000
 
 Run it as ``benchmarks/in_assistive_gym.py``, in BedBathing or ArmManipulation. The file has, of n episodes of T control steps:
-``seed``, ``success``, ``sex``, ``limit_scale``, ``strength`` (n,), ``tremor`` (n, 10); ``base`` and ``chest``, poses in the world as
+``kinds``, see ``KINDS`` (4,); ``seed``, ``success``, ``sex``, ``limit_scale``, ``strength`` (n,), ``tremor`` (n, 10); ``base`` and ``chest``, poses in the world as
 position [m] and quaternion wxyz (n, 7); ``body``, all angles of the person at the start [rad] (n, 41); ``obs``, as the policy sees the
 start (n, n_obs); at the start and after every control step, ``q``, ``qd`` of the robot's arms (n, T + 1, n_arm), ``person_q``, ``person_qd`` of
-the person's right arm (n, T + 1, 10) [rad, rad/s], and ``force``, normal forces by ``KINDS`` [N] (n, T + 1, 4); ``action`` (n, T, n_arm).
+the person's right arm (n, T + 1, 10) [rad, rad/s], and ``force``, normal forces by ``kinds`` [N] (n, T + 1, 4); ``action`` (n, T, n_arm).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import in_assistive_gym as ag
 import numpy as np
 
-KINDS = ("tool_seat", "robot_seat", "tool_person", "robot_person")
+KINDS = ("tool on seat", "robot on seat", "tool on person", "robot on person")
 """What touches what; in ArmManipulation, tools are links of the robot."""
 TOOLS = {"pr2": (78, 55), "sawyer": (24,), "baxter": (54, 31), "jaco": (9,)}
 """Those links."""
@@ -76,7 +76,7 @@ class Recorder:
             for other, on in (("seat", env.bed), ("person", env.human)):
                 for contact in self.bullet.getContactPoints(bodyA=body, bodyB=on, **self.options):
                     what = "tool" if contact[3] in self.tool_links else mine
-                    found[f"{what}_{other}"] += contact[9]
+                    found[f"{what} on {other}"] += contact[9]
         return np.array([found[kind] for kind in KINDS])
 
     def add(self) -> None:
@@ -124,12 +124,14 @@ def main() -> None:
     task, robot = ag.parse(given.env_name)
     if task not in ag.BEDS:
         raise SystemExit(f"{given.env_name}: states are recorded in {' and '.join(ag.BEDS)} alone.")
+    if not given.states.absolute().parent.is_dir():
+        raise SystemExit(f"{given.states}: there is no such folder.")
     act, _ = ag.load_actor(given.policy)
     env, found = ag.make_env(task, robot), []
     for seed in range(given.seed, given.seed + given.num_episodes):
         found.append(record(env, act, task, robot, seed))
         columns: dict[str, Any] = {k: np.array([x[k] for x in found]) for k in found[0]}
-        np.savez_compressed(given.states, **columns)
+        np.savez_compressed(given.states, kinds=KINDS, **columns)
         print(f"seed {seed}: {'success' if found[-1]['success'] else 'failure'}", flush=True)
 
 

@@ -51,7 +51,8 @@ def states(env: agym_jax.Env) -> dict[str, np.ndarray]:
     still, force = np.zeros((STEPS + 1, 10)), np.zeros((STEPS + 1, 4))
     force[6:, 1] = 5.0
     steps = {"q": q, "qd": qd, "person_q": still, "person_qd": still, "force": force, "action": np.array(actions)}  # fmt: skip
-    return {name: np.array([x]) for name, x in (start | steps).items()}
+    kinds = np.array(["tool on seat", "robot on seat", "tool on person", "robot on person"])
+    return {name: np.array([x]) for name, x in (start | steps).items()} | {"kinds": kinds}
 
 
 @pytest.mark.jit
@@ -68,9 +69,8 @@ def test_actions_played_on_from_a_state_end_where_the_episode_does(env, states):
     here, there, forces = played(env, states, config)
     assert here.shape == there.shape == (4, 7) and np.abs(there).max() > 0.1
     off = np.abs(here - there)
-    assert (
-        np.median(off) < 2e-3 and off.max() < 0.03
-    )  # a state lacks what motors knew of the last step
+    # a state lacks what the motors knew of the physics step before
+    assert np.median(off) < 2e-3 and off.max() < 0.03
     np.testing.assert_allclose(forces[:, 1], [0.0, 1.25, 5.0, 5.0])
 
 
@@ -78,7 +78,9 @@ def test_states_are_told_apart_by_what_touches_what():
     there = np.zeros((4, 2))
     here = np.array([[0.1, -0.2], [0.3, 0.0], [0.0, 0.4], [0.5, 0.0]])
     forces = np.array([[0, 0, 0, 0], [0, 9, 0, 0], [9, 0, 9, 0], [0, 9, 0, 0.1]], float)
-    found = by_contact(here, there, forces)
+    found = by_contact(
+        here, there, forces, ["tool on seat", "robot on seat", "tool on person", "robot on person"]
+    )
     assert found == {
         "nothing": [1, 0.2, 0.0, 0.2], "robot on seat": [2, 0.4, 0.0, 0.4], "several": [1, 0.4, 0.0, 0.4],
     }  # fmt: skip
@@ -88,12 +90,18 @@ def test_states_are_told_apart_by_what_touches_what():
 @pytest.mark.slow
 def test_the_command_plays_a_file(states, tmp_path, capsys):
     np.savez(tmp_path / "states.npz", **states)
-    assert (
-        played_on.main([NAME, str(tmp_path / "states.npz"), "--masses", "body", "--steps", "3"])
-        == 0
-    )
+    flags = ["--masses", "body", "--steps", "3"]
+    assert played_on.main([NAME, str(tmp_path / "states.npz"), *flags]) == 0
     said = capsys.readouterr().out
     assert "episodes                 1" in said and "robot on seat: n, off" in said
+
+
+def test_a_file_that_is_missing_is_named_with_what_records_it(tmp_path, capsys):
+    assert played_on.main([NAME, str(tmp_path / "none.npz")]) == 1
+    assert (
+        "no such file. It is recorded in Assistive Gym, by benchmarks/states"
+        in capsys.readouterr().err
+    )
 
 
 @pytest.fixture

@@ -248,6 +248,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         type=float,
         help="rolling friction of the bed's material after the reset [m]",
     )
+    flags.add_argument(
+        "--smooth-bed",
+        action="store_true",
+        help="our bed's shapes instead of the mesh's pieces, see benchmarks/smooth_bed.py",
+    )
     flags.add_argument("--json", type=Path, help="file that a line with the result is appended to")
     flags.add_argument(
         "--starts", type=Path, help="NumPy file for the starts of ScratchItch's episodes, see benchmarks.same_starts"
@@ -256,9 +261,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     task, robot = parse(given.env_name)
     if given.bed_rolling is not None and task not in BEDS:
         raise SystemExit(f"--bed-rolling: there is no bed in {task}, only in {' and '.join(BEDS)}.")
+    if given.smooth_bed and task not in BEDS:
+        raise SystemExit(f"--smooth-bed: there is no bed in {task}, only in {' and '.join(BEDS)}.")
     if given.starts is not None and task != "ScratchItch":
         raise SystemExit(f"--starts: written for ScratchItch, not for {task}.")
     act, about = load_actor(given.policy)
+    if given.smooth_bed:
+        import smooth_bed
+
+        smooth_bed.install()
     env, found = make_env(task, robot), []
     for seed in range(given.seed, given.seed + given.num_episodes):
         began = time.time()
@@ -280,8 +291,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "force": float(np.mean([x.forces[0] for x in found])),
             "time": datetime.now(UTC).isoformat(timespec="seconds"),
         }  # fmt: skip
-        if given.bed_rolling is not None:
-            line["changes"] = {"bed_rolling": given.bed_rolling}
+        changes = {"bed_rolling": given.bed_rolling, "smooth_bed": given.smooth_bed or None}
+        if any(changes.values()):
+            line["changes"] = {name: x for name, x in changes.items() if x is not None}
         with given.json.open("a") as file:
             file.write(json.dumps(line) + "\n")
 

@@ -45,10 +45,12 @@ class Recorder:
         self.tool_links = TOOLS[robot] if task == "ArmManipulation" else ()
         world, joints = env.world_creation, range(pybullet.getNumJoints(env.human, **self.options))
         moves = [j for j in joints if self._info(j)[2] != FIXED]
-        shakes = world.human_impairment == "tremor"
+        tremor = np.zeros(len(ARM))
+        if world.human_impairment == "tremor":  # of joints that are driven; in BedBathing none
+            tremor[: len(world.human_tremors)] = world.human_tremors
         self.start = {
             "seed": seed, "sex": float(env.gender == "female"), "limit_scale": world.human_limit_scale,
-            "strength": world.human_strength, "tremor": world.human_tremors if shakes else np.zeros(len(ARM)),
+            "strength": world.human_strength, "tremor": tremor,
             "base": self._pose(env.robot), "chest": self._pose(env.human), "body": self._joints(env.human, moves)[0],
         }  # fmt: skip
         self.steps: list[dict[str, np.ndarray]] = []

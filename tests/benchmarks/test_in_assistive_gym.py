@@ -7,6 +7,7 @@ import json
 from types import SimpleNamespace
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 
@@ -17,7 +18,7 @@ from agym_jax.robots import ROBOTS
 from agym_jax.sim.scene import build_scene
 from agym_jax.tasks import TASKS
 from benchmarks import in_assistive_gym as ag
-from benchmarks import policy_tables
+from benchmarks import policy_tables, smooth_bed
 
 TURN = 2 * np.pi
 
@@ -116,3 +117,30 @@ def test_the_table_says_where_another_policy_ships_by_now(tmp_path):
         "| FeedingPR2-v0 | 12 of 20 | 75% | 80% |",
         "| FeedingJaco-v0 | 12 of 20 (a former policy) | 75% |  |",
     }
+
+
+def test_the_smooth_bed_has_the_shapes_of_ours():
+    model = mujoco.MjModel.from_xml_path(str(asset_path("furniture/bed.xml")))
+    ours = [i for i in range(model.ngeom) if model.geom(i).name.endswith("_collision")]
+    found = smooth_bed.shapes()
+    assert [x["kind"] for x in found].count("capsule") == 2 and len(found) == len(ours)
+    for shape, i in zip(found, ours, strict=True):
+        geom, rot = model.geom(i), np.zeros(9)
+        mujoco.mju_quat2Mat(rot, geom.quat)
+        np.testing.assert_allclose(shape["pos"], geom.pos, atol=1e-9)
+        x, y, z, w = smooth_bed.quaternion(shape["rot"])
+        again = np.zeros(9)
+        mujoco.mju_quat2Mat(again, np.array([w, x, y, z]))
+        np.testing.assert_allclose(again.reshape(3, 3), shape["rot"], atol=1e-9)
+        if shape["kind"] == "box":
+            np.testing.assert_allclose(shape["size"], geom.size, atol=1e-9)
+            np.testing.assert_allclose(shape["rot"], rot.reshape(3, 3), atol=1e-6)
+        else:  # it may be turned about its axis
+            assert shape["radius"] == pytest.approx(geom.size[0])
+            assert shape["length"] == pytest.approx(2 * geom.size[1])
+            assert abs(shape["rot"][:, 2] @ rot.reshape(3, 3)[:, 2]) == pytest.approx(1.0)
+
+
+def test_there_is_a_smooth_bed_in_bed_alone(tmp_path):
+    with pytest.raises(SystemExit, match="no bed in Feeding, only in BedBathing and ArmManip"):
+        ag.main(["FeedingJaco-v0", str(tmp_path / "policy.npz"), "--smooth-bed"])

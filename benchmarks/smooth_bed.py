@@ -36,29 +36,28 @@ def shapes(path: Path = BED) -> list[dict[str, Any]]:
             length = np.linalg.norm(end - begin)
             found.append({
                 "kind": "capsule", "radius": float(numbers["size"][0]), "length": float(length),
-                "pos": (begin + end) / 2, "rot": _frame(z=(end - begin) / length),
+                "pos": (begin + end) / 2, "rot": _frame_about((end - begin) / length),
             })  # fmt: skip
         else:
             axes = numbers["xyaxes"] if len(numbers["xyaxes"]) else np.eye(3)[:2].ravel()
             found.append({
-                "kind": "box", "size": numbers["size"], "pos": numbers["pos"], "rot": _frame(x=axes[:3], y=axes[3:]),
+                "kind": "box", "size": numbers["size"], "pos": numbers["pos"], "rot": _frame(axes[:3], axes[3:]),
             })  # fmt: skip
     return found
 
 
-def _frame(
-    x: np.ndarray | None = None, y: np.ndarray | None = None, z: np.ndarray | None = None
-) -> np.ndarray:
-    """A rotation matrix, of two axes or of z alone (3, 3)."""
-    if z is not None:
-        x = np.eye(3)[np.argmin(abs(z))]
-        y = np.cross(z, x)
-        x = np.cross(y, z)
-    assert x is not None and y is not None
+def _frame(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The rotation matrix whose first axis is x, and whose second lies in the plane of both (3, 3)."""
     x = x / np.linalg.norm(x)
     y = y - x * (x @ y)
     y = y / np.linalg.norm(y)
     return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def _frame_about(z: np.ndarray) -> np.ndarray:
+    """A rotation matrix whose third axis is the unit vector z (3, 3)."""
+    y = np.cross(z, np.eye(3)[np.argmin(abs(z))])
+    return _frame(np.cross(y, z), y)
 
 
 def quaternion(rot: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ DEVIATION(pr2-forearm): forearm and hand are capsules, fitted to the surface of 
 the hand with the wiper. Corners of the forearm's end, on which it lies on the bed's edge, are 2 to 3 mm outside ours, and the wrist's hull, which has no contacts
 here, up to 5 mm. Until 26 November 2026, 20:30 UTC, they were coarser (7.9 and 10.8 mm, corners up to 18 mm): the forearm was held on the bed in AG and went on here. From states
 of 16 BedBathing episodes in which PR2 touches the bed in AG, joints are 0.07 rad off 0.5 s later (median), 0.12 before.
+Of hand and arm, the armrests meet the finger tips alone.
 """
 
 import math

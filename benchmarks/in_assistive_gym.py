@@ -3,7 +3,7 @@
     python benchmarks/in_assistive_gym.py ScratchItchJaco-v0 assets/policies/ScratchItchJaco-v0.npz --num-episodes 20 --json FILE
 
 Run it with the Python in which Assistive Gym was built (CONTRIBUTING.md says how) and its folder on the Python path; of
-agym_jax it needs this file and the policy alone, and of other packages NumPy. Each episode is one of Assistive Gym's own,
+agym_jax it needs this file and the policy alone (with ``--smooth-bed`` also ``smooth_bed.py`` and ``assets/furniture/bed.xml``), and of other packages NumPy. Each episode is one of Assistive Gym's own,
 its result follows from the seed: the joint limits at which Assistive Gym puts people's joints back, which it keeps from
 the first person of a process, are each person's own here. The policy acts by the mode of its distribution and sees what it would see here: joints that turn
 freely begin in [-pi, pi), quaternions are wxyz and do not jump.
@@ -291,9 +291,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "force": float(np.mean([x.forces[0] for x in found])),
             "time": datetime.now(UTC).isoformat(timespec="seconds"),
         }  # fmt: skip
-        changes = {"bed_rolling": given.bed_rolling, "smooth_bed": given.smooth_bed or None}
-        if any(changes.values()):
-            line["changes"] = {name: x for name, x in changes.items() if x is not None}
+        changed = {"bed_rolling": given.bed_rolling, "smooth_bed": given.smooth_bed or None}
+        if changes := {name: x for name, x in changed.items() if x is not None}:
+            line["changes"] = changes
         with given.json.open("a") as file:
             file.write(json.dumps(line) + "\n")
 

@@ -15,12 +15,17 @@ import numpy as np
 
 BED = Path(__file__).resolve().parents[1] / "assets" / "furniture" / "bed.xml"
 MESH = "bed_single_reduced_vhacd.obj"
+MOST = 16  # shapes of one body in Assistive Gym's engine; it drops further ones silently
+LEFT_OUT = ("headboard", "frame")  # which nothing meets
 PLACE = (-0.1, 0.0, 0.0)  # of the mesh's frame in the world [m]
 TURN = (math.pi / 2, 0.0, 0.0)  # rpy [rad]
 
 
 def shapes(path: Path = BED) -> list[dict[str, Any]]:
-    """The collision geoms of the bed's file.
+    """The collision geoms of the bed's file, without ``LEFT_OUT``.
+
+    Raises:
+        ValueError: there are more than ``MOST``.
 
     Returns:
         for each ``box`` its ``size``, half the edges (3,), for each ``capsule`` its ``radius`` and ``length`` without the ends [m]; with
@@ -28,7 +33,8 @@ def shapes(path: Path = BED) -> list[dict[str, Any]]:
     """
     found = []
     for geom in ET.parse(path).getroot().iter("geom"):
-        if geom.get("class") != "collision" or geom.get("name") is None:
+        name = geom.get("name", "").removesuffix("_collision")
+        if geom.get("class") != "collision" or not name or name in LEFT_OUT:
             continue
         numbers = {k: np.array([float(x) for x in geom.get(k, "").split()]) for k in ("size", "pos", "xyaxes", "fromto")}  # fmt: skip
         if geom.get("type") == "capsule":
@@ -43,6 +49,8 @@ def shapes(path: Path = BED) -> list[dict[str, Any]]:
             found.append({
                 "kind": "box", "size": numbers["size"], "pos": numbers["pos"], "rot": _frame(axes[:3], axes[3:]),
             })  # fmt: skip
+    if len(found) > MOST:
+        raise ValueError(f"The bed has {len(found)} shapes; Assistive Gym's engine takes {MOST}.")
     return found
 
 

@@ -4,9 +4,10 @@ Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robot
 
 DEVIATION(pr2-forearm): forearm and hand are capsules, fitted to the surface of AG's convex hulls: 5.1 mm apart (root mean square) on the forearm, 3.5 mm on
 the hand with the wiper. Corners of the forearm's end, on which it lies on the bed's edge, are 2 to 3 mm outside ours, and the wrist's hull, which has no contacts
-here, up to 5 mm. Until 26 November 2026, 20:30 UTC, they were coarser (7.9 and 10.8 mm, corners up to 18 mm): the forearm was held on the bed in AG and went on here. From states
+here, up to 5 mm. Elsewhere they differ by up to 13 mm in how far they reach. The fingers do not follow the opening: they are fitted at 0.2 rad, wider than AG's in Feeding, Reaching and
+Dressing (0.03 rad) and narrower in Drinking (0.45). Until 26 November 2026, 20:40 UTC, forearm and hand were coarser (7.9 and 10.8 mm by the same measure, corners up to 18 mm): the forearm was held on the bed in AG and went on here. From states
 of 16 BedBathing episodes in which PR2 touches the bed in AG, joints are 0.07 rad off 0.5 s later (median), 0.12 before.
-Of hand and arm, the armrests meet the finger tips alone.
+Of PR2's hand and arm, only the fingertips meet the armrest; until then, the whole fingers did.
 """
 
 import math

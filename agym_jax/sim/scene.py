@@ -7,7 +7,7 @@ people look at, with ``solid=True`` the one in which everything has its collisio
 
 DEVIATION(contacts): contact is simulated between named primitives only: tool, hand, fingers, wrist and
 forearm of the robot, the limbs that a task names, the right armrest or the mattress, of Jaco its two lowest links and
-the nightstand, and of Sawyer the pedestal and the base of its arm (``sim.contacts``). The armrest meets tool and hand alone. Until 24 November 2026 so did the mattress, and arms reached up to 20 cm into it:
+the nightstand, and of Sawyer the pedestal and the base of its arm (``sim.contacts``). The armrest meets the tool and the hand alone (of PR2 its fingertips). Until 24 November 2026 so did the mattress, and arms reached up to 20 cm into it:
 policies of BedBathingSawyer and BedBathingPR2 that had learned so, with 91 and 83 % here, helped in 0 and 9 of 20 episodes of AG, where the arm lies on the
 edge of the bed; with the present contacts they help 4.5 and 50.5 % of 200 here. Under the policies that ship, the corners of the wiper's plate pass through the trunk by up to 16 mm, and Jaco's
 third link through a hand by 34 mm (DressingJaco; 5 episodes of each id, ``benchmarks.inside``). Nothing meets the rest of the furniture or of the robot; AG uses convex meshes of everything. In

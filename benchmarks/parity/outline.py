@@ -1,8 +1,8 @@
 """PR2's forearm and hand.
 
-How far the convex hulls of AG's collision meshes reach from the link's origin along 1,167 directions, all but those that point back to the
-elbow (the hand's: palm and fingers, opened by 0.2 rad as around the wiper), and how far the capsules here reach along the same: what a plane
-would meet first. Values are differences between the two, in AG 0.
+How far the convex hulls of AG's collision meshes reach from the link's origin along 1,167 directions, and how far the capsules here reach: what a
+plane would meet first. The directions are all but those that point back towards the elbow (forearm) or the wrist (hand). The hand is palm and
+fingers, opened by 0.2 rad as around the wiper. Values are differences between the two, in AG 0.
 """
 
 from __future__ import annotations

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import json
+import sys
 from types import SimpleNamespace
 
 import jax
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from agym_jax import observe
 from agym_jax.data.assets import asset_path
@@ -121,9 +123,12 @@ def test_the_table_says_where_another_policy_ships_by_now(tmp_path):
 
 def test_the_smooth_bed_has_the_shapes_of_ours():
     model = mujoco.MjModel.from_xml_path(str(asset_path("furniture/bed.xml")))
-    ours = [i for i in range(model.ngeom) if model.geom(i).name.endswith("_collision")]
+    names = [model.geom(i).name.removesuffix("_collision") for i in range(model.ngeom)]
+    solid = [model.geom(i).name.endswith("_collision") for i in range(model.ngeom)]
+    ours = [i for i, x in enumerate(names) if solid[i] and x not in smooth_bed.LEFT_OUT]
     found = smooth_bed.shapes()
-    assert [x["kind"] for x in found].count("capsule") == 2 and len(found) == len(ours)
+    assert [x["kind"] for x in found].count("capsule") == 2
+    assert len(found) == len(ours) == sum(solid) - len(smooth_bed.LEFT_OUT) <= smooth_bed.MOST
     for shape, i in zip(found, ours, strict=True):
         geom, rot = model.geom(i), np.zeros(9)
         mujoco.mju_quat2Mat(rot, geom.quat)
@@ -141,6 +146,49 @@ def test_the_smooth_bed_has_the_shapes_of_ours():
             assert abs(shape["rot"][:, 2] @ rot.reshape(3, 3)[:, 2]) == pytest.approx(1.0)
 
 
-def test_there_is_a_smooth_bed_in_bed_alone(tmp_path):
+def test_only_tasks_with_a_bed_have_a_smooth_one(tmp_path):
     with pytest.raises(SystemExit, match="no bed in Feeding, only in BedBathing and ArmManip"):
         ag.main(["FeedingJaco-v0", str(tmp_path / "policy.npz"), "--smooth-bed"])
+
+
+def test_the_smooth_bed_takes_the_place_of_the_mesh_alone(monkeypatch):
+    """In the frame of the mesh, whose y axis points up in the world."""
+    made: list[dict] = []
+
+    def multiply(pos, quat, other_pos, other_quat):
+        turn, other = Rotation.from_quat(quat), Rotation.from_quat(other_quat)
+        return np.asarray(pos) + turn.apply(other_pos), (turn * other).as_quat()
+
+    def invert(pos, quat):
+        back = Rotation.from_quat(quat).inv()
+        return -back.apply(pos), back.as_quat()
+
+    fake = SimpleNamespace(
+        GEOM_BOX=3, GEOM_CAPSULE=7, createCollisionShape=lambda *_, **options: options,
+        createCollisionShapeArray=lambda **options: made.append(options) or 5,
+        invertTransform=invert, multiplyTransforms=multiply,
+        getQuaternionFromEuler=lambda rpy: Rotation.from_euler("xyz", rpy).as_quat(),
+    )  # fmt: skip
+    monkeypatch.setitem(sys.modules, "pybullet", fake)
+    smooth_bed.install()
+    assert fake.createCollisionShape(fileName="table.obj") == {"fileName": "table.obj"}
+    assert fake.createCollisionShape(fileName=f"bed/{smooth_bed.MESH}", physicsClientId=0) == 5
+    shapes, (given,) = smooth_bed.shapes(), made
+    assert given["shapeTypes"].count(7) == 2 and len(given["radii"]) == len(shapes)
+    x, y, z = shapes[0]["pos"]
+    np.testing.assert_allclose(given["collisionFramePositions"][0], [x + 0.1, z, -y], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("flags", "changes"),
+    [([], None), (["--bed-rolling", "0"], {"bed_rolling": 0.0}), (["--smooth-bed"], {"smooth_bed": True})],
+)  # fmt: skip
+def test_a_result_tells_what_was_changed(flags, changes, tmp_path, monkeypatch):
+    episode = SimpleNamespace(success=True, total=1.0, forces=(1.0, 2.0))
+    monkeypatch.setattr(ag, "load_actor", lambda _: (None, {"commit": "1234567"}))
+    monkeypatch.setattr(ag, "make_env", lambda *_: None)
+    monkeypatch.setattr(ag, "run_episode", lambda *_: episode)
+    monkeypatch.setitem(sys.modules, "smooth_bed", SimpleNamespace(install=lambda: None))
+    file = tmp_path / "result.jsonl"
+    ag.main(["BedBathingPR2-v0", "policy.npz", "--num-episodes", "1", "--json", str(file), *flags])
+    assert json.loads(file.read_text()).get("changes") == changes

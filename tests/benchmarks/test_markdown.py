@@ -19,11 +19,12 @@ def test_every_change_of_the_physics_is_explained_and_of_some_environment():
 @pytest.mark.parametrize(
     ("env", "time", "earlier"),
     [
-        ("FeedingPR2-v0", "2026-11-22T23:00", True),
-        ("FeedingPR2-v0", "2026-11-23T01:00", False),
-        ("ReachingPR2-v0", "2026-11-23T08:00", False),
+        ("FeedingBaxter-v0", "2026-11-22T23:00", True),
+        ("FeedingBaxter-v0", "2026-11-23T01:00", False),
+        ("ReachingPR2-v0", "2026-11-26T20:00", True),
+        ("ReachingPR2-v0", "2026-11-26T21:00", False),
         ("ArmManipulationJaco-v0", "2026-11-23T08:00", True),
-        ("ScratchItchPR2-v0", "2026-11-23T08:00", False),
+        ("ScratchItchBaxter-v0", "2026-11-23T08:00", False),
         ("ScratchItchPR2Human-v0", "2026-11-23T08:00", True),
         ("BedBathingBaxter-v0", "2026-11-24T23:00", True),
         ("BedBathingBaxter-v0", "2026-11-25T01:00", False),

@@ -19,6 +19,5 @@ def test_both_arms_reach_alike_and_nowhere_far_from_assistive_gyms(part: str):
     left, right = outline.apart(part, "l"), outline.apart(part, "r")
     np.testing.assert_allclose(left, right, atol=1e-3)
     assert np.sqrt(np.mean(left**2)) < 5.0
-    assert (
-        abs(left).max() < 15.0
-    )  # hemispheres beside what ends flat: 21 mm with one capsule for the forearm
+    # hemispheres beside what ends flat: 21 mm with one capsule for the forearm
+    assert abs(left).max() < 15.0

@@ -4,7 +4,7 @@ DEVIATION(bed-shape): the mattress is a slab and a capsule for its rounded edge,
 5 mm of it for 95 % of the points where arm, wiper and hand go (root mean square 3 mm; the mesh has folds of up to 2 cm).
 AG's mesh consists of 58 convex pieces with gaps between them; one of them, 29 mm deep, runs along the mattress's edge, 70 degrees above the
 horizontal. Their walls hold a tool that presses on the edge. In ten recorded episodes of ArmManipulation with each robot, 67 (PR2), 82 (Baxter), 34 (Sawyer) and 18 % (Jaco) of the force between
-scooper and bed act more than 20 degrees away from the normal of our surface, which has no gaps. PR2's last two policies help in 8 and 12 of 20 episodes in AG, and in 13 and 16 of the same 20 with these shapes in place of
+scooper and bed act more than 20 degrees away from the normal of our surface, which has no gaps (pieces, gap and forces were measured by programs outside the repository). PR2's last two policies help in 8 and 12 of 20 episodes in AG, and in 13 and 16 of the same 20 with these shapes in place of
 AG's mesh (``python benchmarks/in_assistive_gym.py --smooth-bed``).
 Pillows bear head and girdle, but arms, tools and robots do not meet them.
 """

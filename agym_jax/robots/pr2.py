@@ -6,7 +6,8 @@ DEVIATION(pr2-forearm): forearm and hand are capsules, fitted to the surface of 
 the hand with the wiper. Corners of the forearm's end, on which it lies on the bed's edge, are 2 to 3 mm outside ours, and the wrist's hull, which has no contacts
 here, up to 5 mm. Elsewhere they differ by up to 13 mm in how far they reach. The fingers do not follow the opening: they are fitted at 0.2 rad, wider than AG's in Feeding, Reaching and
 Dressing (0.03 rad) and narrower in Drinking (0.45). Until 26 November 2026, 20:40 UTC, forearm and hand were coarser (7.9 and 10.8 mm by the same measure, corners up to 18 mm): the forearm was held on the bed in AG and went on here. From states
-of 16 BedBathing episodes in which PR2 touches the bed in AG, joints are 0.07 rad off 0.5 s later (median), 0.12 before.
+of 16 BedBathing episodes in which PR2 touches the bed in AG, joints are 0.07 rad off 0.5 s later (median), 0.12 before. What reaches how far is on the parity page; the other
+figures were measured by programs outside the repository.
 Of PR2's hand and arm, only the fingertips meet the armrest; until then, the whole fingers did.
 """
 
@@ -29,7 +30,7 @@ _JOINTS = (
 _FINGERS = ("l_finger", "l_finger_tip", "r_finger", "r_finger_tip")
 _LINKS = (
     "gripper_fingers",
-    "gripper_palm_link",
+    "gripper_palm_left",
     "gripper_palm_right",
     "forearm_end",
     "forearm_link",

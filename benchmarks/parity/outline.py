@@ -18,7 +18,7 @@ from benchmarks.parity.row import Row, traces
 
 PARTS = {
     "forearm": ("forearm_link", "forearm_end"),
-    "hand": ("gripper_palm_link", "gripper_palm_right", "gripper_fingers"),
+    "hand": ("gripper_palm_left", "gripper_palm_right", "gripper_fingers"),
 }
 """Collision geoms, without the side's letter and the ending."""
 CLOSE = 5.0  # root mean square [mm]

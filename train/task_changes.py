@@ -44,6 +44,15 @@ _MANY_STROKES: dict[str, Any] = (
     _STROKES | _LARGE | {"gamma": 0.98, "gae_lambda": 0.95, "entropy_coef": 0.004}
 )
 
+# Without the entropy bonus the tool learns to press on the arm instead of getting beneath it. With it, the noise grows until most actions
+# are as large as they can be.
+_LIFT: dict[str, Any] = _TOUCH | {
+    "lr": 1.2e-3,
+    "gamma": 0.995,
+    "gae_lambda": 0.95,
+    "entropy_coef": 0.01,
+}
+
 # What a task changes of the base, measured on a GPU. Keys are the beginnings of environment ids.
 TASK_CHANGES: dict[str, dict[str, Any]] = {
     "ScratchItch": _MANY_STROKES,
@@ -61,9 +70,9 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "DressingBaxter": _ELBOW,
     "DressingJaco": _ELBOW,
     "DressingPR2": _ELBOW,
-    # without the entropy bonus the tool learns to press on the arm instead of getting beneath it
-    "ArmManipulation": _TOUCH
-    | {"lr": 1.2e-3, "gamma": 0.995, "gae_lambda": 0.95, "entropy_coef": 0.01},
+    "ArmManipulation": _LIFT,
+    # with 0.01 the noise falls before the arm is lifted; of eight seeds, the interquartile mean is 6 % then (6 M steps), with 0.02 45 % (10 M)
+    "ArmManipulationJaco": _LIFT | {"entropy_coef": 0.02},
     "Reaching": _TOUCH | {"lr": 3e-4},
     # the worst of four seeds helps 55 % of the people instead of 4 %; the interquartile mean hardly changes; its pair was not trained so
     "ReachingJaco": _TOUCH | {"lr": 3e-4, "noise_floor": 0.4},

@@ -73,6 +73,15 @@ def reach(folder: Path = RESULTS) -> str:
 
 def reach_mouth(folder: Path = RESULTS) -> str:
     """How many mouths a hand can come near at all."""
+    return _mouths("Reaching", folder)
+
+
+def reach_pour(folder: Path = RESULTS) -> str:
+    """At how many mouths a cup can be held where water is poured."""
+    return _mouths("Drinking", folder)
+
+
+def _mouths(task: str, folder: Path) -> str:
     columns = {
         "environment": ORDER,
         "mouths": lambda x: f"{x['targets']:,}",
@@ -80,7 +89,7 @@ def reach_mouth(folder: Path = RESULTS) -> str:
         "of men": percent("reachable_men"),
         "of women": percent("reachable_women"),
     }
-    return table([x for x in _reach(folder) if "reachable_men" in x], columns, ORDER)
+    return table([x for x in _reach(folder) if x["env"].startswith(task)], columns, ORDER)
 
 
 def inside(folder: Path = RESULTS) -> str:

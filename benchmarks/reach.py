@@ -2,10 +2,12 @@
 
     python -m benchmarks.reach --env-name ScratchItchBaxter-v0
     python -m benchmarks.reach --env-name ReachingPR2-v0
+    python -m benchmarks.reach --env-name DrinkingPR2-v0
 
 ScratchItch: draws one of AG's two people in the typical pose, a row of the placement bank and an itch, as a reset
 does. Reaching: the people, heads and bases of resets. Looks with inverse kinematics from many starts for joint angles
-that put the tool's tip on the skin within ``target_radius`` of the itch, or the hand within ``reached`` of the mouth, while
+that put the tool's tip on the skin within ``target_radius`` of the itch, or the hand within ``reached`` of the mouth, or the cup where policies
+pour (Drinking: ``TIPPED`` from the vertical in any direction, its rim in ``RIM`` around the mouth), while
 no moving part of robot or tool is deeper than 4 mm in person or furniture. A search that stops counts as
 unreachable: the figure is a lower bound, for a body that stays where it is (in an episode an arm yields, and a contact
 gives way).
@@ -25,6 +27,7 @@ import mujoco
 import numpy as np
 import tyro
 from rich.progress import track
+from scipy.spatial.transform import Rotation
 
 import agym_jax
 from agym_jax.errors import ArgumentError
@@ -35,11 +38,18 @@ from agym_jax.offline import kinematics
 from agym_jax.sim.scene import compose
 from agym_jax.sim.validate import COLLISION
 from agym_jax.spec import Pose
+from agym_jax.tasks import drinking
 from benchmarks.keep import keep
 
 DEEPEST = 0.004
 """How far skin may yield; what is deeper is inside the person [m]."""
 NEAR = 0.003  # [m] of remaining distance at which inverse kinematics has arrived
+TURNED = 0.03  # [rad] the same of the remaining rotation, where it matters
+TIPPED = (1.55, 1.75)
+"""Angles of the cup's axis from the vertical at which water is poured [rad]. In 80 episodes of DrinkingPR2 (seeds 3001 to 3080), nine in ten
+of the half seconds in which at least 3 % of the water was drunk had 1.52 to 1.69."""
+RIM = ((-0.03, 0.016), (-0.04, -0.005), (0.025, 0.052))
+"""Where the centre of the cup's rim was then, from the mouth, world axes [m]: 5 and 95 % of each coordinate."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +57,7 @@ class ReachConfig:
     """Flags of ``python -m benchmarks.reach``."""
 
     env_name: str = "ScratchItchJaco-v0"
-    """Environment id of ScratchItch or Reaching."""
+    """Environment id of ScratchItch, Reaching or Drinking."""
     num_targets: Count = 400
     """Itches or mouths to draw."""
     starts: Count = 400
@@ -95,10 +105,10 @@ class Searcher:
         chain = kinematics.chain_of(env.scene.model, index.robot_joint, tip, index.robot_base)
         self.low, self.high = env.scene.model.jnt_range[index.robot_joint].T
 
-        def solve(angles: jax.Array, point: jax.Array) -> tuple:
-            return kinematics.inverse(chain, angles, point, jnp.eye(3), weight=0.0, steps=80)
+        def solve(angles: jax.Array, point: jax.Array, turn: jax.Array, weight: float) -> tuple:
+            return kinematics.inverse(chain, angles, point, turn, weight=weight, steps=80)
 
-        self.solve = jax.jit(jax.vmap(solve))
+        self.solve = jax.jit(jax.vmap(solve, (0, 0, 0, None)))
 
     def scene(self, sex: float, base: Pose, angles: Any) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Person, robot and furniture.
@@ -117,8 +127,9 @@ class Searcher:
         return model, data
 
     def can_reach(
-        self, model: mujoco.MjModel, data: mujoco.MjData, base: Pose, near: Any, points: np.ndarray
-    ) -> bool:
+        self, model: mujoco.MjModel, data: mujoco.MjData, base: Pose, near: Any, points: np.ndarray,
+        turns: np.ndarray | None = None,
+    ) -> bool:  # fmt: skip
         """Whether the tip gets to one of some points, each tried from one start.
 
         Args:
@@ -127,18 +138,25 @@ class Searcher:
             base: of the robot.
             near: angles of the arm around which half of the starts are [rad] (n_arm,).
             points: world [m] (starts, 3).
+            turns: of the tip there, rotation matrices in the world (starts, 3, 3); any if left out.
         """
         to_base = np.zeros(9)
         mujoco.mju_quat2Mat(to_base, base.quat)
-        points = (points - base.pos) @ to_base.reshape(3, 3)
+        to_base = to_base.reshape(3, 3)
+        points = (points - base.pos) @ to_base
         n, count = len(self.low), len(points)
+        weight = 0.0 if turns is None else 0.3
+        turns = np.tile(np.eye(3), (count, 1, 1)) if turns is None else to_base.T @ turns
         starts = np.asarray(near) + self.rng.normal(0, 0.5, (count, n))
         low, high = np.maximum(self.low, -3.1), np.minimum(self.high, 3.1)
         far = self.rng.random(count) < 0.5
         starts[far] = self.rng.uniform(low, high, (int(far.sum()), n))
         starts = np.clip(starts, self.low, self.high).astype(np.float32)
-        found, distance, _ = self.solve(jnp.asarray(starts), jnp.asarray(points, jnp.float32))
-        found, distance = np.asarray(found), np.asarray(distance)
+        targets = (jnp.asarray(x, jnp.float32) for x in (points, turns))
+        found, distance, rotation = map(
+            np.asarray, self.solve(jnp.asarray(starts), *targets, weight)
+        )
+        distance = np.where((rotation > TURNED) & (weight > 0), np.inf, distance)
         robot = moving_parts(model)
         rest = [i for i in range(model.ngeom) if model.geom(i).name.startswith(("human/", "seat/"))]
         joints = [f"robot/{j}" for arm in self.env.scene.arms for j in arm.joints]
@@ -194,7 +212,30 @@ def mouth(searcher: Searcher) -> tuple[bool, str]:
     return reachable, "men" if sex < 0.5 else "women"
 
 
-TARGETS = {"ScratchItch": itch, "Reaching": mouth}
+def pour(searcher: Searcher) -> tuple[bool, str]:
+    """Draw the start of an episode: whether the cup can be held where policies pour, and who would drink."""
+    env, rng = searcher.env, searcher.rng
+    state = env.reset(jax.random.PRNGKey(rng.integers(2**31)))
+    placement = state.episode.placement
+    base = _pose(placement.base_pos, placement.base_quat)
+    sex = float(state.episode.human.sex)
+    model, data = searcher.scene(sex, base, np.asarray(state.episode.human_angles))
+    turns = tipped_cups(searcher.starts, rng)
+    rim = rng.uniform(*np.transpose(RIM), (searcher.starts, 3))
+    points = np.asarray(state.task.mouth_pos_w) + rim - drinking.TOP * turns[:, :, 1]
+    reachable = searcher.can_reach(model, data, base, placement.arm_angles, points, turns)
+    return reachable, "men" if sex < 0.5 else "women"
+
+
+def tipped_cups(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Orientations of a cup, whose axis is its y axis, tipped by ``TIPPED`` in any direction and turned about its axis (count, 3, 3)."""
+    turn = 2 * np.pi
+    about, towards, tilt = rng.uniform((0, 0, TIPPED[0]), (turn, turn, TIPPED[1]), (count, 3)).T
+    upright = Rotation.from_euler("XY", np.stack([np.full(count, np.pi / 2), about], axis=-1))
+    return (Rotation.from_euler("ZY", np.stack([towards, tilt], axis=-1)) * upright).as_matrix()
+
+
+TARGETS = {"ScratchItch": itch, "Reaching": mouth, "Drinking": pour}
 """Task -> what draws a target and says whether it can be reached, and of which kind it is."""
 
 
@@ -212,7 +253,7 @@ def measure(config: ReachConfig) -> dict[str, Any]:
     env = agym_jax.make(config.env_name, impl="native")
     task = env.task.name
     if task not in TARGETS:
-        raise ArgumentError(f"Reach is measured in {' and '.join(TARGETS)}, not in {task}.")
+        raise ArgumentError(f"Reach is measured in {', '.join(TARGETS)}, not in {task}.")
     searcher = Searcher(env, config.starts, np.random.default_rng(config.seed))
     found: dict[str, list[bool]] = {}
     for _ in track(range(config.num_targets), "targets"):
@@ -221,6 +262,7 @@ def measure(config: ReachConfig) -> dict[str, Any]:
     return {
         "env": config.env_name,
         "targets": config.num_targets,
+        "starts": config.starts,
         "reachable": float(np.mean([x for kind in found.values() for x in kind])),
         **{f"reachable_{kind}": float(np.mean(x)) for kind, x in sorted(found.items())},
     }

@@ -62,6 +62,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "met-starts": physics_tables.met_starts,
     "reach": physics_tables.reach,
     "reach-mouth": physics_tables.reach_mouth,
+    "reach-pour": physics_tables.reach_pour,
     "inside": physics_tables.inside,
     "same-starts": physics_tables.same_starts,
     "pulls": physics_tables.pulls,

@@ -21,7 +21,10 @@ def jaco() -> agym_jax.Env:
 def test_sawyers_narrow_hand_gets_to_every_mouth():
     found = reach.measure(reach.ReachConfig("ReachingSawyer-v0", num_targets=2))
     assert found["reachable"] == 1.0 and found["targets"] == 2
-    assert set(found) - {"env", "targets", "reachable"} <= {"reachable_men", "reachable_women"}
+    assert set(found) - {"env", "targets", "starts", "reachable"} <= {
+        "reachable_men",
+        "reachable_women",
+    }
 
 
 def test_what_is_too_far_away_or_inside_the_person_cannot_be_reached(jaco):
@@ -40,9 +43,37 @@ def test_what_is_too_far_away_or_inside_the_person_cannot_be_reached(jaco):
     assert not reached(data.body("human/chest").xpos)
 
 
-def test_only_two_tasks_have_targets(capsys):
+def test_only_some_tasks_have_targets(capsys):
     assert reach.main(["--env-name", "FeedingJaco-v0"]) == 2
-    assert "in ScratchItch and Reaching, not in Feeding" in capsys.readouterr().err
+    assert "in ScratchItch, Reaching, Drinking, not in Feeding" in capsys.readouterr().err
+
+
+def test_a_cup_that_pours_lies_on_its_side_in_any_direction():
+    turns = reach.tipped_cups(500, np.random.default_rng(0))
+    tilt = np.arccos(turns[:, 2, 1])
+    assert reach.TIPPED[0] <= tilt.min() and tilt.max() <= reach.TIPPED[1]
+    for across in (turns[:, :2, 1], turns[:, :2, 0]):  # where it pours to, and how it is turned
+        assert np.ptp(np.arctan2(*across.T)) > 6.0
+    assert np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-9)
+
+
+def test_a_hand_turns_a_cup_only_where_the_arm_reaches():
+    env = agym_jax.make("DrinkingSawyer-v0", impl="native")
+    searcher = reach.Searcher(env, 60, np.random.default_rng(0))
+    assert sum(reach.pour(searcher)[0] for _ in range(3)) >= 2  # 97 % of the mouths
+    state = env.reset(jax.random.PRNGKey(0))
+    place, cup = state.episode.placement, env.scene.index.tools[0].tip
+    base = Pose(tuple(place.base_pos.tolist()), tuple(place.base_quat.tolist()))
+    model, data = searcher.scene(0.0, base, np.asarray(state.episode.human_angles))
+    pos = np.asarray(state.data.site_xpos[cup])
+    turn = np.asarray(state.data.xmat[env.scene.model.site_bodyid[cup]]).reshape(3, 3)
+
+    def held(pos: np.ndarray) -> bool:
+        points, turns = np.tile(pos, (60, 1)), np.tile(turn, (60, 1, 1))
+        return searcher.can_reach(model, data, base, place.arm_angles, points, turns)
+
+    assert held(pos)
+    assert not held(pos + [0.0, 0.0, 2.0])
 
 
 def test_no_link_of_the_arm_passes_through_a_limb_of_the_task(jaco):

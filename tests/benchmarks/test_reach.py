@@ -73,7 +73,7 @@ def test_a_hand_turns_a_cup_only_where_the_arm_reaches():
         return searcher.can_reach(model, data, base, place.arm_angles, points, turns)
 
     assert held(pos)
-    assert not held(pos + [0.0, 0.0, 2.0])
+    assert not held(pos + np.array([0.0, 0.0, 2.0]))
 
 
 def test_no_link_of_the_arm_passes_through_a_limb_of_the_task(jaco):

@@ -49,6 +49,10 @@ CHANGES: dict[str, tuple[tuple[str, ...], str]] = {
         tuple(f"{task}PR2" for task in ("ScratchItch", "BedBathing", "Feeding", "Drinking", "Dressing", "ArmManipulation", "Reaching")),
         "PR2's forearm and hand have the outline of Assistive Gym's within 5 mm on average",
     ),
+    "2026-11-27T01:00": (
+        ("DrinkingPR2",),
+        "PR2's base is one that was chosen for a mouth where the person's is, as in Assistive Gym",
+    ),
 }  # fmt: skip
 """Changes of the physics that made earlier figures wrong: when (UTC, as in results) -> what the ids begin with, and what changed. Tables
 mark what was measured before. Add a line with a change that makes older figures wrong."""

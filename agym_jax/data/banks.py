@@ -40,8 +40,8 @@ class Placement:
 SHAPES: dict[str, Shape] = {
     "base_pos": ("rows", 3), "base_quat": ("rows", 4), "arm_angles": ("rows", "joints"),
 }  # fmt: skip
-MEETS = "meets"
-"""Name of a bank's optional array, see ``load_meets``."""
+MEETS, MOUTHS = "meets", "mouths"
+"""Names of a bank's optional arrays, see ``load_meets`` and ``load_mouths``."""
 
 
 def bank_folders() -> tuple[Path, ...]:
@@ -105,7 +105,7 @@ def load_bank(task: Task, robot: RobotSpec) -> Placement:
         SpecError: they are of an arm with another number of joints.
     """
     path, remedy = find_bank(task, robot), f"Build it again with: {build_command(task, robot)}"
-    bank, _ = _read(path, path.stat().st_mtime_ns, remedy)
+    bank = _read(path, path.stat().st_mtime_ns, remedy)[0]
     joints = [name for arm in robot.arms_for(task) for name in arm.joints]
     if bank.arm_angles.shape[1] != len(joints):
         raise SpecError(
@@ -131,7 +131,7 @@ def load_meets(task: Task, robot: RobotSpec, postures: int) -> np.ndarray | None
         SpecError: the table is of other postures or placements; the message has the command that makes it anew.
     """
     path, remedy = find_bank(task, robot), f"Build it again with: {build_command(task, robot)}"
-    bank, meets = _read(path, path.stat().st_mtime_ns, remedy)
+    bank, meets, _ = _read(path, path.stat().st_mtime_ns, remedy)
     wanted = postures, len(bank.arm_angles)
     if meets is not None and (meets.shape != wanted or meets.dtype != bool):
         raise SpecError(
@@ -142,8 +142,28 @@ def load_meets(task: Task, robot: RobotSpec, postures: int) -> np.ndarray | None
     return meets
 
 
+def load_mouths(task: Task, robot: RobotSpec) -> np.ndarray | None:
+    """The mouth for which each of the pair's bases was chosen, world [m] (K, 3); None if the bank does not tell.
+
+    Raises:
+        MissingPlacementError: see ``load_bank``.
+        SpecError: the array does not have a mouth for each placement; the message has the command that makes it anew.
+    """
+    path, remedy = find_bank(task, robot), f"Build it again with: {build_command(task, robot)}"
+    bank, _, mouths = _read(path, path.stat().st_mtime_ns, remedy)
+    wanted = len(bank.arm_angles), 3
+    if mouths is not None and mouths.shape != wanted:
+        raise SpecError(
+            f"The placement bank {path} has an array {MOUTHS!r} of {mouths.shape}; it should be {wanted}. {remedy}"
+        )
+    return mouths
+
+
 @lru_cache(maxsize=64)
-def _read(path: Path, changed: int, remedy: str) -> tuple[Placement, np.ndarray | None]:
+def _read(
+    path: Path, changed: int, remedy: str
+) -> tuple[Placement, np.ndarray | None, np.ndarray | None]:
     """A bank's arrays, read once for each time that the file ``changed``."""
     arrays = read_arrays(path, "placement bank", SHAPES, MissingPlacementError, remedy)
-    return Placement(**{f.name: arrays[f.name] for f in fields(Placement)}), arrays.get(MEETS)
+    bank = Placement(**{f.name: arrays[f.name] for f in fields(Placement)})
+    return bank, arrays.get(MEETS), arrays.get(MOUTHS)

@@ -16,6 +16,7 @@ import numpy as np
 from agym_jax.human import anthropometry, body
 from agym_jax.human.population import Human
 from agym_jax.human.posture import Postures, load_postures
+from agym_jax.math3d import rotation_matrix
 from agym_jax.spec import HumanSpec
 
 STATURE, GIRTH = 3.0, 5.0
@@ -157,6 +158,18 @@ def rows(
     angles = {j: pose.angles[order.index(j)] for j in posed_joints(spec)}
     root = pose.root_pos, pose.root_quat
     return body.fields(d, angles, moving, limit_scale, *root, xp, at_joints)
+
+
+def mouth_of(
+    spec: HumanSpec, pose: BodyPose, d: anthropometry.Dims, limit_scale: Any, xp: Any
+) -> Any:
+    """Where the person's mouth is in that pose, world [m] (3,); NumPy or JAX."""
+    fields = rows(
+        spec, pose, d, (), limit_scale, xp
+    )  # no joint is free: every link has a pose in the world
+    head = [link.name for link in body.LINKS].index("head")
+    local = xp.stack([xp.zeros_like(d.mouth_y), d.mouth_y, d.mouth_z])
+    return fields.body_pos[head] + rotation_matrix(fields.body_quat[head], xp) @ local
 
 
 def start_angles(pose: BodyPose, joints: tuple[str, ...], limit_scale: Any, xp: Any) -> Any:

@@ -21,6 +21,7 @@ import numpy as np
 
 from agym_jax.data.banks import (
     MEETS,
+    MOUTHS,
     SHAPES,
     VARIABLE,
     Placement,
@@ -39,8 +40,9 @@ from agym_jax.spec import RobotSpec, Task
 
 
 def save_bank(
-    bank: Placement, path: Path, provenance: dict[str, Any], meets: np.ndarray | None = None
-) -> None:
+    bank: Placement, path: Path, provenance: dict[str, Any], meets: np.ndarray | None = None,
+    mouths: np.ndarray | None = None,
+) -> None:  # fmt: skip
     """Write a bank, with where it came from.
 
     Args:
@@ -48,9 +50,10 @@ def save_bank(
         path: file to write.
         provenance: where it came from.
         meets: which rows meet which settled people, see ``met_people``, bool (P, K).
+        mouths: for which each base was chosen, world [m] (K, 3).
     """
-    table = {} if meets is None else {MEETS: meets}
-    write_arrays(path, {name: getattr(bank, name) for name in SHAPES} | table, provenance)
+    tables = {name: x for name, x in ((MEETS, meets), (MOUTHS, mouths)) if x is not None}
+    write_arrays(path, {name: getattr(bank, name) for name in SHAPES} | tables, provenance)
 
 
 def add_meets(task: Task, robot: RobotSpec) -> tuple[np.ndarray, Path]:
@@ -101,14 +104,14 @@ def _build(name: str, seed: int, size: int) -> None:
     recipe = parse(name)
     path = bank_path(recipe.task, recipe.robot)
     _check_folder(path)
-    bank, report = search(recipe.task, recipe.robot, seed, size)
+    bank, report, mouths = search(recipe.task, recipe.robot, seed, size)
     provenance = {
         **dataclasses.asdict(report), "seed": seed, "size": size,
         "versions": {p: version(p) for p in ("mujoco", "jax")}, "command": f"build {name}",
     }  # fmt: skip
     lying = bool(recipe.task.human.postures)
     meets = meets_of(recipe.task, recipe.robot, bank) if lying else None
-    save_bank(bank, path, provenance, meets)
+    save_bank(bank, path, provenance, meets, mouths)
     told = "" if meets is None else f"; {_told(meets)}"
     print(f"{name}: {report.table()}{told} -> {path}", flush=True)
 

@@ -114,10 +114,9 @@ def _points(task: Task, names: list[str], count: int, seed: int) -> dict[str, np
         # no joint is free here, so every link has a pose in the world
         rows = human_pose.rows(spec, pose, human.dims, (), human.limit_scale, np)
         for name in found:
-            row = order.index("head" if name == "mouth" else name)
-            point = np.array(rows.body_pos[row])
             if name == "mouth":
-                local = np.array([0.0, human.dims.mouth_y, human.dims.mouth_z])
-                point = point + rotation_matrix(rows.body_quat[row], np) @ local
-            found[name].append(point)
+                point = human_pose.mouth_of(spec, pose, human.dims, human.limit_scale, np)
+            else:
+                point = rows.body_pos[order.index(name)]
+            found[name].append(np.array(point))
     return {name: np.array(rows) for name, rows in found.items()}

@@ -89,7 +89,7 @@ PR2 = RobotSpec(
         "ArmManipulation": BaseSearch((-1.15, 0.3, 0.0)),
         "Reaching": BaseSearch((-0.75, -0.2, 0.0)),
         "Feeding": BaseSearch((-0.75, -0.2, 0.0)),
-        "Drinking": BaseSearch((-0.65, -0.2, 0.0)),
+        "Drinking": BaseSearch((-0.65, -0.2, 0.0), for_mouth=True),
         "Dressing": BaseSearch((0.85, 0.3, 0.0), side=1.0, yaw=math.pi),
     },
     # limits of 1e10 in AG (Jaco's, as wide here, are of two turns there)

@@ -41,14 +41,17 @@ def sample_episode(
         scene: of the pair.
         spec: the person's part in the task.
         humans: the population.
-        starts: placements, K rows, and whom they meet.
+        starts: placements, K rows, and whom they meet or suit.
         robot: of the episode, if robots vary.
     """
     human = population.sample_human(
         keys[0], humans, len(scene.moving), spec.tremor_amplitude, spec.impairments
     )
     pose, posture = human_pose.sample_pose_and_row(keys[1], spec, human)
-    return human, pose, draw_start(keys[2], starts, posture), robot
+    mouth = None
+    if starts.mouths is not None:
+        mouth = human_pose.mouth_of(spec, pose, human.dims, human.limit_scale, jnp)
+    return human, pose, draw_start(keys[2], starts, posture, mouth), robot
 
 
 def make_episode(scene: Scene, spec: HumanSpec, drawn: EpisodeSample, xp: Any = jnp) -> Episode:

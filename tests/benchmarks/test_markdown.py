@@ -23,6 +23,8 @@ def test_every_change_of_the_physics_is_explained_and_of_some_environment():
         ("FeedingBaxter-v0", "2026-11-23T01:00", False),
         ("ReachingPR2-v0", "2026-11-26T20:00", True),
         ("ReachingPR2-v0", "2026-11-26T21:00", False),
+        ("DrinkingPR2Human-v0", "2026-11-27T00:30", True),
+        ("DrinkingJaco-v0", "2026-11-27T00:30", False),
         ("ArmManipulationJaco-v0", "2026-11-23T08:00", True),
         ("ScratchItchBaxter-v0", "2026-11-23T08:00", False),
         ("ScratchItchPR2Human-v0", "2026-11-23T08:00", True),

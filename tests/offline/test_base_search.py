@@ -185,6 +185,14 @@ def test_bank_rows_start_at_assistive_gyms_pose_without_contact(task: str, robot
     assert not touching
 
 
+def test_a_bank_tells_for_which_mouth_each_base_was_chosen():
+    bank, _, mouths = search(TASKS["Drinking"], ROBOTS["PR2"], size=6, attempts=60)
+    assert mouths.shape == bank.base_pos.shape
+    assert np.all(np.ptp(mouths, axis=0) > 0.001) and np.all(
+        np.abs(mouths - [0.0, -0.05, 1.2]) < 0.3
+    )
+
+
 def test_goals_are_those_of_assistive_gyms_base_search():
     """The table in robots.md section 7; orientations in tasks.md section 6."""
 
@@ -251,8 +259,9 @@ class LiftHere(ArmManipulation):
 def test_search_finds_contact_free_start_poses(
     task: Task, robot: RobotSpec, points: tuple, size: int
 ):
-    bank, report = search(task, robot, seed=3, size=size, attempts=50)
+    bank, report, mouths = search(task, robot, seed=3, size=size, attempts=50)
     n = len(bank.arm_angles)
+    assert mouths is None  # not by the mouth
     assert 1 <= n <= size and n == report.kept <= report.start_reached <= report.tried
     goals = {name for names in task.goals for name in names}  # a fixed base reaches what it reaches
     assert set(report.goals_reached) == (set() if robot.fixed_base(task) else goals)
@@ -293,7 +302,7 @@ def test_goals_inside_the_robots_own_body_do_not_count(monkeypatch: pytest.Monke
 @pytest.mark.slow
 def test_search_is_reproducible():
     task, robot = ScratchHere(), ROBOTS["Jaco"]
-    (a, _), (b, _), (c, _) = (search(task, robot, seed=s, size=4) for s in (0, 0, 1))
+    (a, *_), (b, *_), (c, *_) = (search(task, robot, seed=s, size=4) for s in (0, 0, 1))
     np.testing.assert_array_equal(a.arm_angles, b.arm_angles)
     assert np.abs(np.asarray(a.arm_angles)[0] - np.asarray(c.arm_angles)[0]).max() > 1e-3
 

@@ -127,7 +127,7 @@ def test_building_a_bank_writes_its_table_where_people_lie(own: Path, monkeypatc
     for name in ("BedBathingJaco-v0", "ReachingJaco-v0"):
         recipe = placements.parse(name)
         bank = rows_of(load_bank(recipe.task, recipe.robot), [0, 1, 2, 3])
-        monkeypatch.setattr(placements, "search", lambda *_, bank=bank: (bank, REPORT))
+        monkeypatch.setattr(placements, "search", lambda *_, bank=bank: (bank, REPORT, None))
         assert placements.main(["build", name, "--size", "4"]) == 0
     table = load_meets(task, robot, 2)
     assert table is not None and table.shape == (2, 4) and not table[1].any()

@@ -61,6 +61,19 @@ def test_a_single_free_placement_is_found():
         assert (drawn(meets) == row).all()
 
 
+def test_a_person_gets_one_of_the_bases_chosen_for_the_nearest_mouth():
+    mouths = np.array([[0, 0, 1], [0, 0, 2], [0, 0, 1], [0, 0, 3], [0, 0, 1], [0, 0, 2], [0, 0, 3], [0, 0, 3]], float)  # fmt: skip
+    starts = Starts(BANK, mouths=mouths)
+    for height, rows in ((1.1, [0, 2, 4]), (1.9, [1, 5]), (9.0, [3, 6, 7])):
+        mouth = jnp.array([0.1, 0.0, height])
+        place = jax.vmap(lambda key, at=mouth: draw_start(key, starts, None, at))(KEYS)
+        share = np.bincount(np.asarray(place.base_pos[:, 0]).astype(int), minlength=ROWS) / len(
+            KEYS
+        )
+        np.testing.assert_allclose(share[rows], 1 / len(rows), atol=0.04)
+        np.testing.assert_allclose(share[rows].sum(), 1.0)
+
+
 # -- files -----------------------------------------------------------------------------------------
 
 
@@ -94,6 +107,16 @@ def test_a_table_of_other_postures_or_placements_names_the_command(
     wanted = r"should be bool \(768, 8\).*again with: agym-jax placements meet BedBathingJaco-v0"
     with pytest.raises(SpecError, match=wanted):
         load_starts(TASK, ROBOT)
+
+
+def test_mouths_of_other_placements_name_the_command(tmp_path: Path, monkeypatch):
+    task, robot = TASKS["Drinking"], ROBOTS["PR2"]
+    monkeypatch.setenv(banks.VARIABLE, str(tmp_path))
+    placements.save_bank(BANK, bank_path(task, robot), {}, mouths=np.zeros((ROWS - 1, 3)))
+    with pytest.raises(SpecError, match=r"'mouths'.*build DrinkingPR2-v0"):
+        load_starts(task, robot)
+    placements.save_bank(BANK, bank_path(task, robot), {}, mouths=np.zeros((ROWS, 3)))
+    assert load_starts(task, robot).mouths.shape == (ROWS, 3)
 
 
 # -- episodes --------------------------------------------------------------------------------------
@@ -130,3 +153,18 @@ def test_nobody_is_pushed_by_a_robot_that_begins_inside_them(env: Any, keys: jax
         state = env.reset(key)
         state = env.step(state, np.zeros(env.action_size, np.float32))
         assert 0.0 <= state.metrics["force/peak_on_human"] < 100.0
+
+
+def test_the_base_suits_the_mouth_of_the_person():
+    env = agym_jax.make("DrinkingPR2-v0", impl="native")
+    near = []
+    for seed in range(12):
+        state = env.reset(jax.random.PRNGKey(seed))
+        mouth, bank = np.asarray(state.task.mouth_pos_w), env._starts
+        row = np.flatnonzero(
+            (np.asarray(state.episode.placement.base_pos) == bank.bank.base_pos).all(1)
+        )
+        away = np.linalg.norm(bank.mouths - mouth, axis=1)
+        near.append(away[row].min() - away.min())
+    assert max(near) < 1e-4, near  # the nearest of all there are, apart from rounding
+    assert agym_jax.make("DrinkingJaco-v0", impl="native")._starts.mouths is None

@@ -147,14 +147,17 @@ def load_mouths(task: Task, robot: RobotSpec) -> np.ndarray | None:
 
     Raises:
         MissingPlacementError: see ``load_bank``.
-        SpecError: the array does not have a mouth for each placement; the message has the command that makes it anew.
+        SpecError: the array does not have a point for each placement; the message has the command that makes it anew.
     """
     path, remedy = find_bank(task, robot), f"Build it again with: {build_command(task, robot)}"
     bank, _, mouths = _read(path, path.stat().st_mtime_ns, remedy)
     wanted = len(bank.arm_angles), 3
-    if mouths is not None and mouths.shape != wanted:
+    if mouths is None:
+        return None
+    if mouths.shape != wanted or mouths.dtype.kind != "f" or not np.isfinite(mouths).all():
         raise SpecError(
-            f"The placement bank {path} has an array {MOUTHS!r} of {mouths.shape}; it should be {wanted}. {remedy}"
+            f"The placement bank {path} has an array {MOUTHS!r} of {mouths.dtype} {mouths.shape}; it should be finite numbers "
+            f"{wanted}. {remedy}"
         )
     return mouths
 

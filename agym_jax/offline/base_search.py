@@ -18,12 +18,12 @@ DEVIATION(goal-contact): a further goal counts as reached where the inverse kine
 then inside the person's arm, is pushed for five physics steps first. That takes few goals away there: were those left out that
 contacts in C MuJoCo push away by 3 cm within five steps, Jaco's mean base would stand 13 cm (ArmManipulation) and 4 cm
 (BedBathing) from AG's along the bed; as it is it stands within 1 cm (37 and 40 resets recorded).
-DEVIATION(start-person): a start pose is drawn apart from the person of the episode; in AG the base is chosen for that
+DEVIATION(start-person): a start pose is drawn apart from the person of the episode, except DrinkingPR2's; in AG the base is chosen for that
 person's arm or mouth. Points of people's arms differ by 2 cm and mouths by 3 cm (standard deviation). From a chosen base the
-goals of another person are reached as often as those of its own within 3 % (20 pairs, 32 to 96 bases, 4 other people each), only by PR2 in
-Drinking less often: the mouth with the hand as at the start from 23 % of 256 bases, the mouth of its own from 53 %. There, a person gets one of the
-bases chosen for the nearest of 64 mouths (``BaseSearch.for_mouth``; 8 mm away, median), and the figure is 54 %. Until 27 November 2026, 01:00 UTC, these were drawn apart, too:
-PR2's arm was often straight before the cup was at the mouth.
+goals of another person are reached as often as those of the person it was chosen for within 3 % (20 pairs, 32 to 96 bases, 4 other people each). Only PR2 in
+Drinking reaches them less often: with the hand turned as at the start, another person's mouth from 23 % of 256 bases, and the mouth for which they were chosen from 53 %. So a
+person gets one of the bases chosen for the nearest of 64 mouths (``BaseSearch.for_mouth``; 1 cm away, median, of people of every size 1.3): 54 %. Until 27 November 2026, 01:00 UTC,
+DrinkingPR2's bases were drawn apart from the person, too, and its arm was often straight before the cup was at the mouth.
 """
 
 from __future__ import annotations
@@ -102,6 +102,8 @@ def search(
     reach = Reach(task, robot, np.random.default_rng(seed))
     starts, points = draw_goals(task, robot, reach.goals, size, seed, reach.rng)
     fixed = robot.fixed_base(task)
+    by_mouth = robot.base_search(task.name).for_mouth and not fixed
+    mouths = _mouths(reach, points) if by_mouth else None
     if fixed:
         found = reach.from_fixed_base(fixed, starts)
     else:
@@ -112,8 +114,7 @@ def search(
         raise SpecError(f"{robot.name} finds no free start for {task.name}: {report.table()}.")
     angles = _canonical(found.angles, reach.chains)
     bank = [jnp.asarray(x[found.ok], jnp.float32) for x in (found.pos, found.quat, angles)]
-    mouths = _mouths(reach, points)[found.ok] if robot.base_search(task.name).for_mouth else None
-    return Placement(*bank), report, mouths
+    return Placement(*bank), report, None if mouths is None else mouths[found.ok]
 
 
 @dataclass(frozen=True)

@@ -46,11 +46,14 @@ def load_starts(task: Task, robot: RobotSpec) -> Starts:
 def draw_start(
     key: Array, starts: Starts, posture: Array | None, mouth: Array | None = None
 ) -> Placement:
-    """Draw a placement; where it meets the person, another one that does not, if there is one.
+    """Draw a placement that suits the person.
+
+    Where one meets the person, another one is drawn that does not, if there is one; where the bank tells for which
+    mouths its bases were chosen, one of those for the nearest mouth.
 
     Args:
         key: PRNG key.
-        starts: of the pair.
+        starts: of the pair, with ``meets`` or ``mouths`` or neither.
         posture: row of the person's settled posture (), None if there are none.
         mouth: of the person, world [m] (3,); needed if ``starts`` has mouths.
     """
@@ -65,10 +68,10 @@ def draw_start(
         nth = jax.random.randint(jax.random.fold_in(key, 1), (), 0, jnp.maximum(free, 1))
         again = jnp.asarray(order)[line, nth]
         row = jnp.where(jnp.asarray(lines)[line, row] & (free > 0), again, row)
-    if starts.mouths is not None and mouth is not None:
+    if starts.mouths is not None:
         people, of = np.unique(starts.mouths, axis=0, return_inverse=True)
         order, count = np.argsort(of.reshape(-1), kind="stable"), np.bincount(of.reshape(-1))
-        nearest = jnp.argmin(jnp.linalg.norm(people - mouth, axis=-1))
+        nearest = jnp.argmin(jnp.linalg.norm(people - jnp.asarray(mouth), axis=-1))
         nth = jax.random.randint(key, (), 0, jnp.asarray(count)[nearest])
         row = jnp.asarray(order)[jnp.asarray(np.cumsum(count) - count)[nearest] + nth]
     return jax.tree.map(lambda x: jnp.asarray(x)[row], starts.bank)

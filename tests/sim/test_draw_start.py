@@ -115,8 +115,13 @@ def test_mouths_of_other_placements_name_the_command(tmp_path: Path, monkeypatch
     placements.save_bank(BANK, bank_path(task, robot), {}, mouths=np.zeros((ROWS - 1, 3)))
     with pytest.raises(SpecError, match=r"'mouths'.*build DrinkingPR2-v0"):
         load_starts(task, robot)
+    placements.save_bank(BANK, bank_path(task, robot), {}, mouths=np.full((ROWS, 3), np.nan))
+    with pytest.raises(SpecError, match="should be finite numbers"):
+        load_starts(task, robot)
     placements.save_bank(BANK, bank_path(task, robot), {}, mouths=np.zeros((ROWS, 3)))
     assert load_starts(task, robot).mouths.shape == (ROWS, 3)
+    placements.save_bank(BANK, bank_path(task, robot), {})  # built before there were any
+    assert load_starts(task, robot).mouths is None
 
 
 # -- episodes --------------------------------------------------------------------------------------

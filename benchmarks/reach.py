@@ -222,7 +222,8 @@ def pour(searcher: Searcher) -> tuple[bool, str]:
     sex = float(state.episode.human.sex)
     model, data = searcher.scene(sex, base, np.asarray(state.episode.human_angles))
     turns = tipped_cups(searcher.starts, rng)
-    rim = rng.uniform(*np.transpose(RIM), (searcher.starts, 3))
+    low, high = np.transpose(RIM)
+    rim = rng.uniform(low, high, (searcher.starts, 3))
     points = np.asarray(state.task.mouth_pos_w) + rim - drinking.TOP * turns[:, :, 1]
     reachable = searcher.can_reach(model, data, base, placement.arm_angles, points, turns)
     return reachable, "men" if sex < 0.5 else "women"

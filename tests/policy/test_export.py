@@ -78,7 +78,8 @@ def same(policy: Policy, precision: str) -> None:
     assert given.dtype == np.float32 and np.ptp(given) > 0.1
     tight = precision == "float64"
     np.testing.assert_allclose(given, exact(policy, obs), rtol=0, atol=1e-6 if tight else 3e-5)
-    np.testing.assert_allclose(given, policy(obs), rtol=0, atol=3e-5)  # JAX's own rounding
+    # JAX's own rounding: the means of ArmManipulationJaco are far larger than any action before they are clipped
+    np.testing.assert_allclose(given, policy(obs), rtol=0, atol=1e-4 if tight else 3e-5)
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: f"{file.parent.name}-{file.stem}")

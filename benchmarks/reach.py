@@ -16,7 +16,7 @@ gives way).
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,7 @@ NEAR = 0.003  # [m] of remaining distance at which inverse kinematics has arrive
 TURNED = 0.03  # [rad] the same of the remaining rotation, where it matters
 TIPPED = (1.55, 1.75)
 """Angles of the cup's axis from the vertical at which a cup is emptied [rad]. In the 46 of 80 episodes of DrinkingPR2 (seeds 3001 to 3080) that
-succeed, it was tipped by 1.58 to 1.72 rad at most until three quarters of the water were drunk."""
+succeed, the cup was tipped by 1.58 to 1.72 rad at most until three quarters of the water were drunk (counted by a program outside the repository)."""
 RIM = ((-0.03, 0.016), (-0.04, -0.005), (0.025, 0.052))
 """Where the centre of its rim was while people drank, from the mouth, world axes [m]: 5 and 95 % of each coordinate."""
 
@@ -199,32 +199,41 @@ def itch(searcher: Searcher) -> tuple[bool, str]:
 
 def mouth(searcher: Searcher) -> tuple[bool, str]:
     """Draw the start of an episode: whether the hand gets near the mouth, and whose it is."""
-    env, rng = searcher.env, searcher.rng
-    state = env.reset(jax.random.PRNGKey(rng.integers(2**31)))
-    placement = state.episode.placement
-    base = _pose(placement.base_pos, placement.base_quat)
-    sex = float(state.episode.human.sex)
-    model, data = searcher.scene(sex, base, np.asarray(state.episode.human_angles))
-    ways = rng.normal(size=(searcher.starts, 3))
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    reach = (env.task.config.reached - NEAR) * rng.random((searcher.starts, 1)) ** (1 / 3)
-    points = np.asarray(state.task.mouth_pos_w) + reach * ways
-    reachable = searcher.can_reach(model, data, base, placement.arm_angles, points)
-    return reachable, "men" if sex < 0.5 else "women"
+
+    def near(rng: np.random.Generator) -> tuple[np.ndarray, None]:
+        ways = rng.normal(size=(searcher.starts, 3))
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        reach = searcher.env.task.config.reached - NEAR
+        return reach * rng.random((searcher.starts, 1)) ** (1 / 3) * ways, None
+
+    return _at_mouth(searcher, near)
 
 
 def pour(searcher: Searcher) -> tuple[bool, str]:
     """Draw the start of an episode: whether the cup can be held where policies pour, and who would drink."""
+
+    def above(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        turns, (low, high) = tipped_cups(searcher.starts, rng), np.transpose(RIM)
+        rim = rng.uniform(low, high, (searcher.starts, 3))
+        return rim - drinking.TOP * turns[:, :, 1], turns
+
+    return _at_mouth(searcher, above)
+
+
+def _at_mouth(searcher: Searcher, draw: Callable[[np.random.Generator], tuple]) -> tuple[bool, str]:
+    """Draw the start of an episode: whether the tip gets to its mouth, and whose that is.
+
+    Args:
+        searcher: of the environment.
+        draw: gives points from the mouth, world axes [m] (starts, 3), and how the tip is to be turned there, see ``can_reach``.
+    """
     env, rng = searcher.env, searcher.rng
     state = env.reset(jax.random.PRNGKey(rng.integers(2**31)))
-    placement = state.episode.placement
+    placement, sex = state.episode.placement, float(state.episode.human.sex)
     base = _pose(placement.base_pos, placement.base_quat)
-    sex = float(state.episode.human.sex)
     model, data = searcher.scene(sex, base, np.asarray(state.episode.human_angles))
-    turns = tipped_cups(searcher.starts, rng)
-    low, high = np.transpose(RIM)
-    rim = rng.uniform(low, high, (searcher.starts, 3))
-    points = np.asarray(state.task.mouth_pos_w) + rim - drinking.TOP * turns[:, :, 1]
+    away, turns = draw(rng)
+    points = np.asarray(state.task.mouth_pos_w) + away
     reachable = searcher.can_reach(model, data, base, placement.arm_angles, points, turns)
     return reachable, "men" if sex < 0.5 else "women"
 

@@ -164,9 +164,8 @@ def mouth_of(
     spec: HumanSpec, pose: BodyPose, d: anthropometry.Dims, limit_scale: Any, xp: Any
 ) -> Any:
     """Where the person's mouth is in that pose, world [m] (3,); NumPy or JAX."""
-    fields = rows(
-        spec, pose, d, (), limit_scale, xp
-    )  # no joint is free: every link has a pose in the world
+    # no joint is free, so that every link has a pose in the world
+    fields = rows(spec, pose, d, (), limit_scale, xp)
     head = [link.name for link in body.LINKS].index("head")
     local = xp.stack([xp.zeros_like(d.mouth_y), d.mouth_y, d.mouth_z])
     return fields.body_pos[head] + rotation_matrix(fields.body_quat[head], xp) @ local

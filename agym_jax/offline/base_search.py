@@ -22,7 +22,7 @@ DEVIATION(start-person): a start pose is drawn apart from the person of the epis
 person's arm or mouth. Points of people's arms differ by 2 cm and mouths by 3 cm (standard deviation). From a chosen base the
 goals of another person are reached as often as those of the person it was chosen for within 3 % (20 pairs, 32 to 96 bases, 4 other people each). Only PR2 in
 Drinking reaches them less often: with the hand turned as at the start, another person's mouth from 23 % of 256 bases, and the mouth for which they were chosen from 53 %. So a
-person gets one of the bases chosen for the nearest of 64 mouths (``BaseSearch.for_mouth``; 1 cm away, median, of people of every size 1.3): 54 %. Until 27 November 2026, 01:00 UTC,
+person gets one of the bases chosen for the nearest of 64 mouths (``BaseSearch.for_mouth``; 1 cm away, median, of people of every size 1.3, by a program outside the repository): 54 %. Until 27 November 2026, 01:00 UTC,
 DrinkingPR2's bases were drawn apart from the person, too, and its arm was often straight before the cup was at the mouth.
 """
 

@@ -38,8 +38,7 @@ def load_starts(task: Task, robot: RobotSpec) -> Starts:
     """
     bank, postures = load_bank(task, robot), task.human.postures
     if not postures:
-        chosen = robot.base_search(task.name).for_mouth and not robot.fixed_base(task)
-        return Starts(bank, mouths=load_mouths(task, robot) if chosen else None)
+        return Starts(bank, mouths=load_mouths(task, robot))
     return Starts(bank, load_meets(task, robot, len(load_postures(postures).sex)))
 
 

@@ -37,7 +37,7 @@ class BaseSearch:
     yaw: float = 0.0  # about which the base turns [rad]
     pivot: Vec3 = Pose().pos  # what is put there and turns on the spot, in the base's frame [m]
     requires_goals: bool = True  # whether ``Goal.required`` holds for this robot
-    for_mouth: bool = False  # whether a seated person gets a base chosen for a mouth near theirs
+    for_mouth: bool = False  # whether banks tell for which mouth a base was chosen
 
 
 @dataclass(frozen=True, eq=False)  # has dicts in it: equal if identical

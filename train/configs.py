@@ -26,7 +26,7 @@ NOT_NEGATIVE = (
     "cost_limit", "cost_proportional", "cost_integral", "cost_derivative", "cost_multiplier_max",
 )  # fmt: skip
 SHARES = (
-    "gamma", "gae_lambda", "entropy_decay_share", "value_warm_up", "cost_margin", "cost_tighten_from", "cost_tighten_until",
+    "gamma", "gae_lambda", "entropy_decay_share", "value_warm_up", "noise_ceiling_from", "cost_margin", "cost_tighten_from", "cost_tighten_until",
 )  # fmt: skip
 MAX_ENV_STEPS = 2**32 - 1  # the learner counts steps in 32 unsigned bits
 
@@ -143,8 +143,9 @@ class LearnConfig(EnvFlags):
     continue until rare successes are found. With --robot-policy, which can do the task already, 0 by default."""
     noise_ceiling: float = 0.0
     """Largest standard deviation of "normal" at the end of the run, decreasing to it from 1 by equal factors; 0 = no bound.
-    Policies are evaluated without noise; this lets them learn to act so. For policies that can do the task already
-    (--robot-policy); in new ones, a bound that fell was harmful."""
+    Policies are evaluated without noise; this lets them learn to act so."""
+    noise_ceiling_from: float = 0.0
+    """With noise_ceiling: fraction of the run from which the bound decreases; new policies need noise until they succeed."""
     policy_head_gain: float = 0.01
     """Gain of the initial weights of the policy's last layer (Assistive Gym: 1)."""
 
@@ -265,6 +266,7 @@ NUM_ENVS = {"cpu": 64, "gpu": 1024, "tpu": 1024}
 """Default number of environments by kind of device."""
 LEAST_RECOMPUTED = 10_000
 """Samples per update from which advantages are recomputed before every pass."""
+NOISE_BOUNDS = ("noise_floor", "noise_ceiling", "noise_ceiling_from")
 WARM_UP = 0.05
 """Fraction of a run that starts from a policy in which only the value functions learn."""
 LEAST_SAMPLES = 80
@@ -287,7 +289,7 @@ def config_for(
     """
     changes = _of(TASK_CHANGES, env_name, {})
     changes = changes | (_of(CPU_CHANGES, env_name, {}) if platform == "cpu" else {})
-    changes = changes | ({"noise_floor": 0.0} if continues else {})
+    changes = changes | (dict.fromkeys(NOISE_BOUNDS, 0.0) if continues else {})
     return dataclasses.replace(kind(), env_name=env_name, task=task_config(env_name), **changes)
 
 

@@ -25,22 +25,28 @@ def test_only_deviations_below_the_floor_are_changed():
     arch = Architecture(3, 2, (4,), (4,), "elu", "normal", 0.2, 0.01)
     policy = init_policy(make_networks(arch), arch, jax.random.PRNGKey(0))
     before = policy["params"]["std_logparam"]["log_value"]
-    kept = keep_noise(policy, 0.5, 0.0, jnp.float32(0.1))["params"]
+    kept = keep_noise(policy, 0.5, 0.0, 0.0, jnp.float32(0.1))["params"]
     np.testing.assert_allclose(np.exp(kept["std_logparam"]["log_value"]), 0.5, rtol=1e-6)
     rest = {name: layer for name, layer in kept.items() if name != "std_logparam"}
     assert all(rest[name] is policy["params"][name] for name in rest) and len(rest) == 2
     for floor in (0.0, 0.1):
-        same = keep_noise(policy, floor, 0.0, jnp.float32(0.1))["params"]["std_logparam"][
-            "log_value"
-        ]
-        np.testing.assert_array_equal(same, before)
+        same = keep_noise(policy, floor, 0.0, 0.0, jnp.float32(0.1))["params"]["std_logparam"]
+        np.testing.assert_array_equal(same["log_value"], before)
 
 
 @pytest.mark.parametrize(("progress", "ceiling"), [(0.0, 1.0), (0.5, 0.1), (1.0, 0.01)])
 def test_the_ceiling_falls_by_equal_factors_over_the_run(progress, ceiling):
-    bound = math.exp(float(log_ceiling(0.01, jnp.float32(progress))))
+    bound = math.exp(float(log_ceiling(0.01, 0.0, jnp.float32(progress))))
     assert bound == pytest.approx(ceiling, rel=1e-4)
-    assert log_ceiling(0.0, jnp.float32(progress)) == jnp.inf
+    assert log_ceiling(0.0, 0.0, jnp.float32(progress)) == jnp.inf
+
+
+@pytest.mark.parametrize(
+    ("progress", "ceiling"), [(0.0, 1.0), (0.6, 1.0), (0.8, 0.1), (1.0, 0.01), (1.01, 0.01)]
+)
+def test_before_its_share_of_the_run_the_ceiling_is_1(progress, ceiling):
+    bound = math.exp(float(log_ceiling(0.01, jnp.float32(0.6), jnp.float32(progress))))
+    assert bound == pytest.approx(ceiling, rel=1e-4)
 
 
 def test_only_deviations_above_the_ceiling_are_changed_and_it_wins_over_the_floor():
@@ -50,9 +56,9 @@ def test_only_deviations_above_the_ceiling_are_changed_and_it_wins_over_the_floo
         log_value = keep_noise(policy, *bounds, jnp.float32(0.5))["params"]["std_logparam"]
         return np.exp(log_value["log_value"])
 
-    np.testing.assert_allclose(kept(0.0, 0.04), [0.05, 0.2, 0.2], rtol=1e-5)
-    np.testing.assert_allclose(kept(0.0, 0.0), [0.05, 0.3, 2.0], rtol=1e-5)
-    np.testing.assert_allclose(kept(0.4, 0.04), 0.2, rtol=1e-5)
+    np.testing.assert_allclose(kept(0.0, 0.04, 0.0), [0.05, 0.2, 0.2], rtol=1e-5)
+    np.testing.assert_allclose(kept(0.0, 0.0, 0.0), [0.05, 0.3, 2.0], rtol=1e-5)
+    np.testing.assert_allclose(kept(0.4, 0.04, 0.0), 0.2, rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["noise_floor", "noise_ceiling"])

@@ -62,6 +62,9 @@ def test_another_hyper_parameter_compiles_nothing_and_changes_what_is_learned(pr
     for name, value in OTHERS.items():
         assert not same_bytes(before, learned(dataclasses.replace(CONFIG, **{name: value}))), name
     assert not same_bytes(before, learned(CONFIG, 2 * STEPS)), "length of the run"
+    bounded = dataclasses.replace(CONFIG, noise_ceiling=OTHERS["noise_ceiling"])
+    late = dataclasses.replace(bounded, noise_ceiling_from=0.5)
+    assert not same_bytes(learned(bounded), learned(late)), "noise_ceiling_from"
     assert same_bytes(before, learned(CONFIG))
     assert env.traces == {"reset": 1, "step": 1} and run._cache_size() == 1
 

@@ -4,8 +4,8 @@ A policy gradient lowers the noise as soon as it costs something, often before a
 drop of water drunk, was seen: then it never is. With a floor, the noise lasts for half of the run.
 
 The deterministic action of a policy is the mean of its noise. A policy that learned with noise until the end was never
-tried without; a ceiling that falls lets it learn to do without. It is meant for policies that can do their task already: in
-trainings from nothing a bound that fell did harm (docs/benchmarks.md), as did noise of which a share is held for a whole rollout.
+tried without; a ceiling that falls lets it learn to do without. In a policy that can do its task already, it may fall from
+the start; in a new one that did harm (docs/benchmarks.md), as did noise of which a share is held for a whole rollout.
 """
 
 from __future__ import annotations
@@ -30,23 +30,26 @@ def log_floor(floor: Any, progress: jax.Array) -> jax.Array:
     return jnp.log(jnp.maximum(floor * (1 - fallen), LEAST))
 
 
-def log_ceiling(ceiling: Any, progress: jax.Array) -> jax.Array:
-    """Largest logarithm of the deviation after a share of the run: equal factors from 1 down to ``ceiling`` ().
+def log_ceiling(ceiling: Any, since: Any, progress: jax.Array) -> jax.Array:
+    """Largest logarithm of the deviation after a share of the run: that of 1, then equal factors down to ``ceiling`` ().
 
     Args:
         ceiling: largest deviation at the end of the run; 0: none    ().
+        since: share of the run from which it falls    ().
         progress: share of the run that is made    ().
     """
-    return jnp.where(ceiling > 0, progress * jnp.log(jnp.maximum(ceiling, LEAST)), jnp.inf)
+    fallen = jnp.clip((progress - since) / jnp.maximum(1.0 - since, LEAST), 0.0, 1.0)
+    return jnp.where(ceiling > 0, fallen * jnp.log(jnp.maximum(ceiling, LEAST)), jnp.inf)
 
 
-def keep_noise(policy: Any, floor: Any, ceiling: Any, progress: jax.Array) -> Any:
+def keep_noise(policy: Any, floor: Any, ceiling: Any, since: Any, progress: jax.Array) -> Any:
     """A policy's parameters with deviations from the floor to the ceiling; those of another distribution as they are.
 
     Args:
         policy: parameters of the policy network.
         floor: least deviation in the first half of the run    ().
         ceiling: largest deviation at the end of the run; 0: none    ().
+        since: share of the run from which the ceiling falls    ().
         progress: share of the run that is made    ().
     """
     layers = policy["params"]
@@ -54,5 +57,5 @@ def keep_noise(policy: Any, floor: Any, ceiling: Any, progress: jax.Array) -> An
         return policy
     value = layers["std_logparam"]["log_value"]
     kept = jnp.maximum(value, log_floor(floor, progress))
-    kept = {"log_value": jnp.minimum(kept, log_ceiling(ceiling, progress))}
+    kept = {"log_value": jnp.minimum(kept, log_ceiling(ceiling, since, progress))}
     return {**policy, "params": {**layers, "std_logparam": kept}}

@@ -68,6 +68,7 @@ class Hyper:
     learns: Any  # 0: one of several trainings that has been stopped
     noise_floor: Any  # least deviation of the exploration noise
     noise_ceiling: Any  # largest deviation at the end; 0: none
+    noise_ceiling_from: Any  # share of the run from which it falls
     value_warm_up: Any  # share of the run before which the policy stays as it is
     constraint: ConstraintHyper | None = None  # None without a cost limit
 
@@ -101,6 +102,7 @@ class Hyper:
             "learns": 1.0,
             "noise_floor": config.noise_floor,
             "noise_ceiling": config.noise_ceiling,
+            "noise_ceiling_from": config.noise_ceiling_from,
             "value_warm_up": config.value_warm_up or 0.0,
         }
         numbers = {name: np.float32(value) for name, value in values.items()}
@@ -354,7 +356,8 @@ def learn(
         critic_normalizer = critic_normalizer and update(critic_normalizer, batch.critic_obs)
     steps = batch_steps(batch, axis)
     reached = progress + jnp.float32(steps) / hyper.total_steps
-    policy = keep_noise(params.policy, hyper.noise_floor, hyper.noise_ceiling, reached)
+    bounds = (hyper.noise_floor, hyper.noise_ceiling, hyper.noise_ceiling_from)
+    policy = keep_noise(params.policy, *bounds, reached)
     agent = replace(
         agent,
         params=params.replace(policy=policy),

@@ -25,7 +25,19 @@ from benchmarks.markdown import DATES, RESULTS
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = (
     ROOT / "README.md",
-    *(ROOT / "docs" / f"{name}.md" for name in ("benchmarks", "seeds", "care", "torch", "viewer")),
+    *(
+        ROOT / "docs" / f"{name}.md"
+        for name in (
+            "benchmarks",
+            "transfer",
+            "seeds",
+            "sweeps",
+            "speed",
+            "care",
+            "torch",
+            "viewer",
+        )
+    ),
 )
 
 

@@ -19,7 +19,7 @@ creep here. More than 0.6 m, or more sliding friction, changes this little; thre
 In this cone, what turns in a contact also separates, by the angle times the length of the rolling friction, so that an
 arm that rests on the bed can hardly be lifted if that is long: with full actions for 2 s, an active person of BedBathing bends the elbow by 1.36 rad in
 AG, here by 0.09 with AG's 2.5 m, by 1.09 with 0.28 m and by 1.35 with 0.15 m. Hence the person's arm has 0.15 m in BedBathing, robots and tools 2.5 m. Upper arm and forearm then turn about
-their lengths more freely than in AG, by 1.23 instead of 0.67 rad (all joints 0.62 and 0.43; 24 people each). What was tried is in docs/benchmarks.md.
+their lengths more freely than in AG, by 1.23 instead of 0.67 rad (all joints 0.62 and 0.43; 24 people each). What was tried is in docs/transfer.md.
 """
 
 from __future__ import annotations

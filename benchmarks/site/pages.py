@@ -29,7 +29,7 @@ GUIDES = (
     "onnx",
     "care",
 )
-RESULTS = ("benchmarks", "seeds", "parity", "deviations")
+RESULTS = ("benchmarks", "transfer", "seeds", "sweeps", "speed", "parity", "deviations")
 HELP = ("troubleshooting", "versions", "contributing")
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|!\[[^]]*\]\([^)]*\))*)\]\(([^)\s#:]+)(#[^)\s]*)?\)")
 

@@ -5,7 +5,7 @@ drop of water drunk, was seen: then it never is. With a floor, the noise lasts f
 
 The deterministic action of a policy is the mean of its noise. A policy that learned with noise until the end was never
 tried without; a ceiling that falls lets it learn to do without. In a policy that can do its task already, it may fall from
-the start; in a new one that did harm (docs/benchmarks.md), as did noise of which a share is held for a whole rollout.
+the start; in a new one that did harm (docs/sweeps.md), as did noise of which a share is held for a whole rollout.
 """
 
 from __future__ import annotations

@@ -1,6 +1,11 @@
 """Rethink Baxter: two arms of seven joints with electric parallel grippers, on a pedestal.
 
 Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robots/baxter.xml``.
+
+DEVIATION(baxter-shapes): spheres and capsules stand for AG's cylinders and boxes. The rims of the wrist's cylinder are 25 mm outside ours, those
+of the lower forearm and the hand 18 and 13 mm, and the elbow's end of the upper forearm 37 mm, where the elbow covers a part. AG's fingers are two
+blades, 10 mm thick and closed 45 mm wide, with tips of 42 mm by 29 mm; ours are one capsule of 28 mm radius, up to 25 mm outside them beside the
+blades and 3 mm beyond the tips.
 """
 
 import math

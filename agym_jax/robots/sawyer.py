@@ -5,7 +5,8 @@ Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robot
 DEVIATION(sawyer-shapes): the arm meets the robot's pedestal and the base of its arm as in AG, from the third link outwards. Spheres and
 capsules stand for AG's cylinders. Pedestal and base end 21 and 20 mm inside the upper rims, and 90 and 20 mm above the middle of the top. The last link, a coin of 65 mm
 radius and 50 mm length, is a sphere 4 mm inside the rims and 41 mm beyond the faces. The upper arm ends 25 mm inside the rims, the forearm
-10 mm inside them and 12 mm beyond the ends. Six arms that press on the pedestal in AG are within 12 mm of it here.
+10 mm inside them and 12 mm beyond the ends. Six arms that press on the pedestal in AG are within 12 mm of it here. The gripper is Baxter's
+(`baxter-shapes`).
 """
 
 import math

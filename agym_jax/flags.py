@@ -155,3 +155,13 @@ def env_name_in(arguments: Sequence[str], default: str) -> str:
         if flag.replace("_", "-") == "--env-name":
             name = value if equals else (arguments[i + 1] if i + 1 < len(arguments) else name)
     return name
+
+
+def first_paragraph(doc: str | None) -> str:
+    """Return the first paragraph of a module's docstring as the description of a command."""
+    return plain(doc).partition("\n\n")[0]
+
+
+def plain(doc: str | None) -> str:
+    """Return a module's docstring as the description of a command, without marks of code."""
+    return (doc or "").replace("``", "")

@@ -209,9 +209,11 @@ def candidates(folder: Path = RESULTS) -> str:
 
 def sweeps(folder: Path = RESULTS) -> str:
     """Success of the settings that were compared with several seeds each, at the end of training."""
+    lines = read_results("sweeps", ("env", "num_env_steps", "time"), folder)
+    kept = {(x["env"], x["num_env_steps"], _swept(x)): x for x in lines}  # the newest
     rows = [
         {**x, "rank": i, **setting}
-        for x in read_results("sweeps", ("env", "num_env_steps"), folder)
+        for x in kept.values()
         for i, setting in enumerate(x["ranking"])
         if x["num_seeds"] > 1
     ]
@@ -226,7 +228,12 @@ def sweeps(folder: Path = RESULTS) -> str:
         "median peak force": lambda x: f"{x['peak_iqm']:.0f} N",
     }
     note = "1,024 environments of each seed, all side by side in one program; sampled actions;"
-    return table(rows, columns, itemgetter("env", "num_env_steps", "rank"), note)
+    return table(rows, columns, itemgetter("env", "num_env_steps", "time", "rank"), note)
+
+
+def _swept(line: Line) -> tuple[str, ...]:
+    """Names of the hyperparameters that a sweep varied or set."""
+    return tuple(sorted({name for x in line["ranking"] for name in x["setting"]}))
 
 
 def _steps(line: Line) -> str:

@@ -18,9 +18,8 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
-from agym_jax.flags import Count
+from agym_jax.flags import Count, plain
 
-from .configs import plain
 from .envs import make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator

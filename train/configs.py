@@ -143,9 +143,9 @@ class LearnConfig(EnvFlags):
     continue until rare successes are found. With --robot-policy, which can do the task already, 0 by default."""
     noise_ceiling: float = 0.0
     """Largest standard deviation of "normal" at the end of the run, decreasing to it from 1 by equal factors; 0 = no bound.
-    Policies are evaluated without noise; this lets them learn to act so."""
+    Policies are evaluated without noise; with this they learn to act without it."""
     noise_ceiling_from: float = 0.0
-    """With noise_ceiling: fraction of the run from which the bound decreases; new policies need noise until they succeed."""
+    """With noise_ceiling: fraction of the run from which the bound decreases; until then, it is 1."""
     policy_head_gain: float = 0.01
     """Gain of the initial weights of the policy's last layer (Assistive Gym: 1)."""
 
@@ -190,6 +190,11 @@ class LearnConfig(EnvFlags):
                 raise ConfigError(
                     f"{name} bounds the deviation of --distribution normal; {self.distribution} has no such parameter."
                 )
+        if self.noise_ceiling > 1 or self.noise_ceiling_from == 1:
+            raise ConfigError(
+                f"noise_ceiling falls from 1, at noise_ceiling_from, to its value at the end of the run: at most 1, and from "
+                f"less than 1 on; got {self.noise_ceiling} and {self.noise_ceiling_from}."
+            )
         check_save_dir(self.save_dir)
         for name in SHARES:
             value = getattr(self, name)
@@ -267,6 +272,7 @@ NUM_ENVS = {"cpu": 64, "gpu": 1024, "tpu": 1024}
 LEAST_RECOMPUTED = 10_000
 """Samples per update from which advantages are recomputed before every pass."""
 NOISE_BOUNDS = ("noise_floor", "noise_ceiling", "noise_ceiling_from")
+"""Settings that are 0 by default if training starts from a policy."""
 WARM_UP = 0.05
 """Fraction of a run that starts from a policy in which only the value functions learn."""
 LEAST_SAMPLES = 80
@@ -327,16 +333,6 @@ def parse_arguments(
 def names_policy(arguments: Sequence[str]) -> bool:
     """Return whether command-line arguments contain ``--robot-policy``."""
     return "--robot-policy" in [word.partition("=")[0].replace("_", "-") for word in arguments]
-
-
-def first_paragraph(doc: str | None) -> str:
-    """Return the first paragraph of a module's docstring as the description of a command."""
-    return plain(doc).partition("\n\n")[0]
-
-
-def plain(doc: str | None) -> str:
-    """Return a module's docstring as the description of a command, without marks of code."""
-    return (doc or "").replace("``", "")
 
 
 def resolve(config: Config, platform: str, devices: int = 1) -> Config:

@@ -17,14 +17,13 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
-from agym_jax.flags import Count, command_words
+from agym_jax.flags import Count, command_words, first_paragraph
 from agym_jax.policy.agents import BASELINES, Baseline, Pair, parts
 from agym_jax.policy.check import check_policy, settings_for
 from agym_jax.policy.files import find_policy, load_agent, run_file
 from agym_jax.policy.policy import Policy
 from agym_jax.registry import static_id
 
-from .configs import first_paragraph
 from .envs import changed, make_env, refuse_static_human
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator

@@ -24,11 +24,11 @@ import tyro
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
-from agym_jax.flags import Count, command_words
+from agym_jax.flags import Count, command_words, first_paragraph
 from agym_jax.policy.agents import baseline_policy
 from agym_jax.policy.files import PolicyFiles, find_policy, load_policies
 
-from .configs import config_for, first_paragraph
+from .configs import config_for
 from .enjoy import Frame, caption
 from .envs import make_env
 from .errors import reports_errors

@@ -16,12 +16,11 @@ import jax
 
 from agym_jax.data.npz import check_writable
 from agym_jax.errors import checked_count
-from agym_jax.flags import Count, PolicyFlags, parse_flags
+from agym_jax.flags import Count, PolicyFlags, first_paragraph, parse_flags
 from agym_jax.policy.agents import BASELINES, AnyPolicy, baseline_policy
 from agym_jax.policy.check import trained_otherwise
 from agym_jax.policy.files import find_policies, load_policies
 
-from .configs import first_paragraph
 from .envs import changed, make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator

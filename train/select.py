@@ -26,12 +26,11 @@ from agym_jax.errors import (
     PolicyLayoutError,
     PolicyNotFoundError,
 )
-from agym_jax.flags import Count
+from agym_jax.flags import Count, plain
 from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.files import FILE_NAMES, find_policies, load_policies, load_policy
 from agym_jax.policy.policy import read_policy, save_policy
 
-from .configs import plain
 from .envs import changed, make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator

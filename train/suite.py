@@ -22,9 +22,9 @@ import tyro
 from agym_jax import list_envs
 from agym_jax.data.npz import check_writable, write_file
 from agym_jax.errors import AgymError
+from agym_jax.flags import plain
 from agym_jax.interrupts import raise_again
 
-from .configs import plain
 from .runs.overview import markdown, selection_of, training_summary
 from .runs.plots import plot_runs
 from .runs.progress import duration

@@ -22,9 +22,9 @@ import tyro
 
 from agym_jax.data.npz import write_file
 from agym_jax.errors import UnknownNameError, checked_count
-from agym_jax.flags import Count, EnvFlags, parse_flags
+from agym_jax.flags import Count, EnvFlags, parse_flags, plain
 
-from .configs import LearnConfig, PPOConfig, config_for, plain
+from .configs import LearnConfig, PPOConfig, config_for
 from .envs import make_env, refuse_active_human
 from .errors import ConfigError, check_save_dir, reports_errors
 from .evaluation.statistics import bootstrap_interval, iqm

@@ -1,8 +1,9 @@
 """Baxter's and Sawyer's forearm, wrist and gripper.
 
-AG's links are cylinders, spheres and boxes; here capsules and spheres stand for them. For each link that people and furniture can touch, in its own
-frame: how far a point of AG's surface can be outside these shapes, and a point of theirs outside AG's. Fingers are closed, as in Feeding and Reaching.
-Neighbouring links, which cover some of these points, are left out. Values are distances, in AG 0.
+AG's links are cylinders, spheres and boxes; here capsules and spheres stand for them. For each of these links, in its own frame: how far a point of
+AG's surface can be outside these shapes, and a point of theirs outside AG's. Fingers are closed, as in Feeding and Reaching. Neighbouring links, which
+cover some of these points, are left out. AG's column is 0 by definition. PR2's forearm and hand are above; of Jaco's, only the largest distances are
+known (`jaco-hand`).
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ def ours(robot: str, link: str) -> tuple[Shape, ...]:
         mujoco.mju_quat2Mat(rot, geom.quat)
         kind = mujoco.mjtGeom(int(geom.type[0])).name.removeprefix("mjGEOM_").lower()
         pos, axis = tuple(geom.pos), tuple(rot.reshape(3, 3)[:, 2])
-        size = tuple(geom.size[: 1 if kind == "sphere" else 2])
+        size = tuple(geom.size[: {"sphere": 1, "box": 3}.get(kind, 2)])
         found.append(Shape(kind, size, pos, axis))
     return tuple(found)
 
@@ -136,7 +137,8 @@ def ours(robot: str, link: str) -> tuple[Shape, ...]:
 def farthest(of: Sequence[Shape], outside: Sequence[Shape]) -> float:
     """How far a surface point of the first solids is outside of the second ones, at most [mm]."""
     points = np.concatenate([shape.surface() for shape in of])
-    return 1e3 * float(np.min([shape.outside(points) for shape in outside], axis=0).max())
+    apart = np.min([shape.outside(points) for shape in outside], axis=0)
+    return round(1e3 * float(apart.max()), 6)
 
 
 def rows() -> list[Row]:

@@ -21,3 +21,22 @@ def test_a_policy_without_the_line_of_its_training_is_an_error(tmp_path):
         (tmp_path / f"{name}.jsonl").write_text("\n".join(kept) + "\n")
     with pytest.raises(ArgumentError, match="FeedingPR2-v0: no result line tells of the training"):
         policy_tables.chosen_among(tmp_path)
+
+
+def test_sweeps_of_other_hyperparameters_do_not_replace_each_other(tmp_path):
+    def sweep(time, success, **setting):
+        found = {"success_iqm": success, "worst": 0.0, "gentle_iqm": 0.0, "peak_iqm": 9.0}
+        return {
+            "env": "ReachingJaco-v0", "num_env_steps": 1e6, "planned_env_steps": 1e6, "num_seeds": 4,
+            "time": time, "commit": "0123456789", "device": {"kind": "Some GPU"},
+            "ranking": [found | {"setting": setting}],
+        }  # fmt: skip
+
+    lines = [
+        sweep("2026-12-01T00:00", 0.111, lr=1e-3),
+        sweep("2026-12-02T00:00", 0.222, gamma=0.9),
+        sweep("2026-12-03T00:00", 0.333, lr=2e-3),
+    ]
+    (tmp_path / "sweeps.jsonl").write_text("\n".join(map(json.dumps, lines)) + "\n")
+    table = policy_tables.sweeps(tmp_path)
+    assert "22.2%" in table and "33.3%" in table and "11.1%" not in table

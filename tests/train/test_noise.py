@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from agym_jax.policy.networks import Architecture, init_policy, make_networks
-from train.configs import PPOConfig
+from train.configs import NOISE_BOUNDS, PPOConfig, config_for
 from train.errors import ConfigError
 from train.learning.noise import keep_noise, log_ceiling, log_floor
+from train.task_changes import TASK_CHANGES
 
 
 @pytest.mark.parametrize(("progress", "floor"), [(0.0, 0.4), (0.5, 0.4), (0.75, 0.2), (1.0, 1e-6)])
@@ -59,6 +60,20 @@ def test_only_deviations_above_the_ceiling_are_changed_and_it_wins_over_the_floo
     np.testing.assert_allclose(kept(0.0, 0.04, 0.0), [0.05, 0.2, 0.2], rtol=1e-5)
     np.testing.assert_allclose(kept(0.0, 0.0, 0.0), [0.05, 0.3, 2.0], rtol=1e-5)
     np.testing.assert_allclose(kept(0.4, 0.04, 0.0), 0.2, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "settings", [{"noise_ceiling": 1.5}, {"noise_ceiling": 0.2, "noise_ceiling_from": 1.0}]
+)
+def test_a_ceiling_that_could_not_fall_is_refused(settings):
+    with pytest.raises(ConfigError, match="noise_ceiling falls from 1"):
+        PPOConfig(**settings, distribution="normal")
+
+
+def test_a_training_that_starts_from_a_policy_has_no_bounds_of_its_own():
+    for task, changes in TASK_CHANGES.items():
+        config = config_for(f"{task}Jaco-v0", continues=True)
+        assert [getattr(config, name) for name in NOISE_BOUNDS] == [0.0, 0.0, 0.0], changes
 
 
 @pytest.mark.parametrize("name", ["noise_floor", "noise_ceiling"])

@@ -30,26 +30,26 @@ def log_floor(floor: Any, progress: jax.Array) -> jax.Array:
     return jnp.log(jnp.maximum(floor * (1 - fallen), LEAST))
 
 
-def log_ceiling(ceiling: Any, since: Any, progress: jax.Array) -> jax.Array:
+def log_ceiling(ceiling: Any, falls_from: Any, progress: jax.Array) -> jax.Array:
     """Largest logarithm of the deviation after a share of the run: that of 1, then equal factors down to ``ceiling`` ().
 
     Args:
         ceiling: largest deviation at the end of the run; 0: none    ().
-        since: share of the run from which it falls    ().
+        falls_from: share of the run from which it falls, below 1    ().
         progress: share of the run that is made    ().
     """
-    fallen = jnp.clip((progress - since) / jnp.maximum(1.0 - since, LEAST), 0.0, 1.0)
+    fallen = jnp.clip((progress - falls_from) / (1.0 - falls_from), 0.0, 1.0)
     return jnp.where(ceiling > 0, fallen * jnp.log(jnp.maximum(ceiling, LEAST)), jnp.inf)
 
 
-def keep_noise(policy: Any, floor: Any, ceiling: Any, since: Any, progress: jax.Array) -> Any:
+def keep_noise(policy: Any, floor: Any, ceiling: Any, falls_from: Any, progress: jax.Array) -> Any:
     """A policy's parameters with deviations from the floor to the ceiling; those of another distribution as they are.
 
     Args:
         policy: parameters of the policy network.
         floor: least deviation in the first half of the run    ().
         ceiling: largest deviation at the end of the run; 0: none    ().
-        since: share of the run from which the ceiling falls    ().
+        falls_from: share of the run from which the ceiling falls, below 1    ().
         progress: share of the run that is made    ().
     """
     layers = policy["params"]
@@ -57,5 +57,5 @@ def keep_noise(policy: Any, floor: Any, ceiling: Any, since: Any, progress: jax.
         return policy
     value = layers["std_logparam"]["log_value"]
     kept = jnp.maximum(value, log_floor(floor, progress))
-    kept = {"log_value": jnp.minimum(kept, log_ceiling(ceiling, since, progress))}
+    kept = {"log_value": jnp.minimum(kept, log_ceiling(ceiling, falls_from, progress))}
     return {**policy, "params": {**layers, "std_logparam": kept}}

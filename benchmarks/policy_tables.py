@@ -50,19 +50,30 @@ def _success(line: Line) -> str:
     return f"{mean} ({low} to {high})"
 
 
-def chosen_among(folder: Path = RESULTS) -> str:
-    """Among how many seeds each shipped policy was chosen, in a sentence.
+Training = tuple[str, str, int]
+"""Of a policy: environment, beginning of the commit, seed."""
+KINDS = {"gentle": "one made gentle", "continued": "a continued one"}
+"""Results of trainings -> what a policy from them is called; those of others are "an earlier one"."""
+
+
+def _training(line: Line) -> Training:
+    """That of the seed that was chosen."""
+    return line["env"], line.get("policy_commit", line["commit"])[:COMMIT], line["chosen"]
+
+
+def trainings_of_shipped(folder: Path = RESULTS) -> dict[str, tuple[Training, str, int]]:
+    """Environment -> training of the policy that ships, the results it is in, and its number of seeds.
 
     Raises:
         ArgumentError: the results have no line of a policy's training.
     """
     chosen = {
-        (x["env"], x.get("policy_commit", x["commit"])[:COMMIT], x["chosen"]): len(x["seeds"])
+        _training(x): (name, len(x["seeds"]))
         for name in ("selection", "gentle", "continued", "candidates")
         for x in read_results(name, ("env", "commit", "policy_commit", "chosen"), folder)
         if "chosen" in x
     }
-    among: dict[int, list[str]] = {}
+    found = {}
     for path in sorted((asset_root() / "policies").glob("*.npz")):
         info = read_npz(path)[1]
         key = (path.stem, str(info.get("commit"))[:COMMIT], info.get("seed"))
@@ -70,7 +81,15 @@ def chosen_among(folder: Path = RESULTS) -> str:
             raise ArgumentError(
                 f"{path.stem}: no result line tells of the training of its policy (commit {key[1]}, seed {key[2]})."
             )
-        among.setdefault(chosen[key], []).append(path.stem.removesuffix("-v0"))
+        found[path.stem] = (key, *chosen[key])
+    return found
+
+
+def chosen_among(folder: Path = RESULTS) -> str:
+    """Among how many seeds each shipped policy was chosen, in a sentence."""
+    among: dict[int, list[str]] = {}
+    for env, (_, _, count) in trainings_of_shipped(folder).items():
+        among.setdefault(count, []).append(env.removesuffix("-v0"))
     parts = []
     for count, names in sorted(among.items(), reverse=True):
         listed = ", ".join(names) if len(names) <= FEW else str(len(names))
@@ -122,14 +141,21 @@ def selections(folder: Path = RESULTS) -> str:
 
     if not lines:
         return NOTHING
+    ships = trainings_of_shipped(folder)
+
+    def policy(line: Line) -> str:
+        key, name, _ = ships[line["env"]]
+        return "the chosen one" if key == _training(line) else KINDS.get(name, "an earlier one")
+
     of = [training(line) for line in lines]
     sign, rows = mark(lines), [overview.cells(*both) for both in zip(lines, of, strict=True)]
     for row, line in zip(rows, lines, strict=True):
         row[0] += sign(line)
+        row.append(policy(line))
     episodes = several(f"{x['episodes']:,}" for x in lines)
     took = sum(x["wall_seconds"] or x["train_seconds"] for x in of if x)
     note = f"{episodes} episodes of each seed, mode; all trainings one after another: {duration(took)};"
-    return grid([overview.HEADINGS, *rows], lines, note)
+    return grid([(*overview.HEADINGS, "the policy that ships"), *rows], lines, note)
 
 
 def gentle(folder: Path = RESULTS) -> str:

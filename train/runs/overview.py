@@ -138,13 +138,17 @@ HEADINGS = (
 
 
 def cells(selection: Mapping[str, Any], training: Mapping[str, Any] | None) -> list[str]:
-    """A row of the table of runs, under ``HEADINGS``.
+    """A row of the table of runs, under ``HEADINGS``; the success of the chosen seed is bold.
 
     Args:
         selection: line of ``select``.
         training: from ``training_summary``; None leaves its columns empty.
     """
-    each = selection["success_of_seeds"]
+    each, seeds = selection["success_of_seeds"], selection["seeds"]
+    marked = (
+        f"**{100 * x:.3g}**" if seed == selection["chosen"] else f"{100 * x:.3g}"
+        for seed, x in zip(seeds, each, strict=True)
+    )
     lost = training["num_seeds"] - training["seeds_at_end"] if training else 0
     low, high = selection["success_iqm_low"], selection["success_iqm_high"]
     size, reached, took, gentle = str(len(each)), "", "", ""
@@ -162,7 +166,7 @@ def cells(selection: Mapping[str, Any], training: Mapping[str, Any] | None) -> l
     return [
         selection["env"],
         size,
-        ", ".join(f"{100 * x:.3g}" for x in each) + (f" ({lost} diverged)" if lost else ""),
+        ", ".join(marked) + (f" ({lost} diverged)" if lost else ""),
         share(min(each)),
         f"{share(selection['success_iqm'])} ({share(low)} to {share(high)})",
         share(max(each)),

@@ -30,7 +30,7 @@ def test_names_and_links_exist():
     names = set(re.findall(r"`(?:agym_jax\.)?errors\.(\w+)`", TEXT))
     assert names == {WrapperError.__name__}
     assert f"{switch.VARIABLE}=-brax_jax" in TEXT and switch.enabled("brax_jax")
-    links = re.findall(r"\]\(([^)#]+)\)", TEXT)
+    links = re.findall(r"\]\(([^)#]+)", TEXT)
     assert links and all((PAGE.parent / link).is_file() for link in links)
     ids = set(re.findall(r"\b[A-Z]\w+-v\d+\b", TEXT))
     assert ids and ids <= set(agym_jax.list_envs())

@@ -11,12 +11,22 @@ import numpy as np
 
 from agym_jax.registry import parse
 from benchmarks.limit_curves import limit_in_words, lines_of
-from benchmarks.markdown import RESULTS, Line, former, percent, read_results, table
+from benchmarks.markdown import RESULTS, Line, former, grid, mark, percent, read_results, table
 from train.evaluation.outcome import in_words
 from train.evaluation.people import LEAST
 from train.evaluation.statistics import iqm
 
 ORDER = itemgetter("env")
+HELP = {
+    "ScratchItch": "scratch an itch on the arm",
+    "BedBathing": "wipe an arm in bed",
+    "Feeding": "feed with a spoon",
+    "Drinking": "give water from a cup",
+    "Dressing": "pull a sleeve over an arm",
+    "ArmManipulation": "lift a limp arm onto the body",
+    "Reaching": "bring its hand to the mouth",
+}
+"""Tasks in words."""
 GENTLE, GROUP, PAIR = 0.9, 0.8, 0.95
 """Goals: of gentle success with a passive person, of success in each group, and of a pair's success."""
 
@@ -47,6 +57,42 @@ def _group(line: Line, of: str) -> str:
     """The group of people with the least of something, and how much it is."""
     found = min(_large_groups(line), key=itemgetter(of))
     return f"{found[of]:.0%} ({found['name']})"
+
+
+def glance(folder: Path = RESULTS) -> str:
+    """How many of 100 people of every size each robot helps, how gently, and whom least often; a row for each task."""
+    lines = [x for x in _lines(folder) if not parse(x["env"]).active]
+    sign = mark(lines)
+    rows = [
+        {"task": task, "lines": of, "env": task}
+        for task in HELP
+        if (of := [x for x in lines if parse(x["env"]).task.name == task])
+    ]
+
+    def robots(row: Line) -> str:
+        best_first = sorted(row["lines"], key=itemgetter("success"), reverse=True)
+        return ", ".join(
+            f"{parse(x['env']).robot.name} {100 * x['success']:.0f} ({100 * x['gentle_success']:.0f}){sign(x)}{x['former']}"
+            for x in best_first
+        )
+
+    def touch(row: Line) -> str:
+        peaks = sorted(round(x["peak_median"]) for x in row["lines"])
+        return " to ".join(map(str, sorted({peaks[0], peaks[-1]}))) + " N"
+
+    def least(row: Line) -> str:
+        of = [(min(_large_groups(x), key=itemgetter("success")), x) for x in row["lines"]]
+        group, line = min(of, key=lambda x: x[0]["success"])
+        return f"{100 * group['success']:.0f} ({parse(line['env']).robot.name}; {group['name']})"
+
+    columns = {
+        "the robot is to": lambda x: f"{HELP[x['task']]} ({x['task']})",
+        "helps, of 100 people (gently)": robots,
+        "strongest touch, median": touch,
+        "helps least, of 100 people": least,
+    }
+    shown = [columns, *([column(row) for column in columns.values()] for row in rows)]
+    return grid(shown, [x for row in rows for x in row["lines"]], "Passive people of every size;")
 
 
 def everybody(folder: Path = RESULTS) -> str:

@@ -23,22 +23,10 @@ from benchmarks import (
 from benchmarks.markdown import DATES, RESULTS
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = (
-    ROOT / "README.md",
-    *(
-        ROOT / "docs" / f"{name}.md"
-        for name in (
-            "benchmarks",
-            "transfer",
-            "seeds",
-            "sweeps",
-            "speed",
-            "care",
-            "torch",
-            "viewer",
-        )
-    ),
-)
+WITH_TABLES = (
+    "benchmarks", "transfer", "seeds", "sweeps", "speed", "care", "gentle_training", "torch", "viewer",
+)  # fmt: skip
+PAGES = (ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in WITH_TABLES))
 
 
 class TableError(ValueError):
@@ -83,6 +71,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "cpu-latency": cpu_tables.latency,
     "laptop": cpu_tables.laptop,
     "in-assistive-gym": policy_tables.in_assistive_gym,
+    "glance": care_tables.glance,
     "everybody": care_tables.everybody,
     "shortfalls": care_tables.shortfalls,
     "tapered": care_tables.tapered,

@@ -28,6 +28,7 @@ GUIDES = (
     "brax",
     "onnx",
     "care",
+    "gentle_training",
 )
 RESULTS = ("benchmarks", "transfer", "seeds", "sweeps", "speed", "parity", "deviations")
 HELP = ("troubleshooting", "versions", "contributing")

@@ -48,6 +48,27 @@ def test_the_group_that_fares_worst_is_named(folder):
     assert row == "| BedBathingPR2-v0 | 100 | 60.0% | 50.0% | 20% (women) | 20.0% | 10% (men) |"
 
 
+def test_at_a_glance_there_is_a_row_for_each_task_with_its_robots_best_first(tmp_path):
+    def line(env, success, gentle, peak, least):
+        groups = [group("men", 50, success, gentle), group("women", 50, least, gentle)]
+        return {
+            "env": env, "episodes": 100, "success": success, "gentle_success": gentle, "peak_median": peak,
+            "groups": groups, "device": {"kind": "CPU"}, "commit": "abcdef12", "time": "2030-01-01T00:00:00",
+        }  # fmt: skip
+
+    lines = [
+        line("FeedingPR2-v0", 0.904, 0.5, 3.2, 0.8),
+        line("FeedingJaco-v0", 0.95, 0.4, 12.0, 0.7),
+        line("FeedingJacoHuman-v0", 0.1, 0.1, 99.0, 0.1),
+    ]
+    (tmp_path / "everybody.jsonl").write_text("\n".join(map(json.dumps, lines)) + "\n")
+    _, _, row, *_, about = care_tables.glance(tmp_path).splitlines()
+    assert row == (
+        "| feed with a spoon (Feeding) | Jaco 95 (40), PR2 90 (50) | 3 to 12 N | 70 (Jaco; women) |"
+    )
+    assert about.startswith("Passive people of every size; CPU")
+
+
 def test_units_of_care_are_those_of_the_task(folder):
     row = care_tables.care(folder).splitlines()[2]
     assert row == "| BedBathingPR2-v0 | 35% wiped | 12.3 s |"

@@ -64,13 +64,13 @@ def glance(folder: Path = RESULTS) -> str:
     lines = [x for x in _lines(folder) if not parse(x["env"]).active]
     sign = mark(lines)
     rows = [
-        {"task": task, "lines": of, "env": task}
+        {"task": task, "lines": of}
         for task in HELP
         if (of := [x for x in lines if parse(x["env"]).task.name == task])
     ]
 
     def robots(row: Line) -> str:
-        best_first = sorted(row["lines"], key=itemgetter("success"), reverse=True)
+        best_first: list[Line] = sorted(row["lines"], key=itemgetter("success"), reverse=True)
         return ", ".join(
             f"{parse(x['env']).robot.name} {100 * x['success']:.0f} ({100 * x['gentle_success']:.0f}){sign(x)}{x['former']}"
             for x in best_first
@@ -91,7 +91,7 @@ def glance(folder: Path = RESULTS) -> str:
         "strongest touch, median": touch,
         "helps least, of 100 people": least,
     }
-    shown = [columns, *([column(row) for column in columns.values()] for row in rows)]
+    shown = [list(columns), *([column(row) for column in columns.values()] for row in rows)]
     return grid(shown, [x for row in rows for x in row["lines"]], "Passive people of every size;")
 
 

@@ -187,7 +187,7 @@ def _measured(name: str) -> Iterator[str]:
     yield "\n".join(["| | |", "|---|---|", *(f"| {a}{_sign(x)} | {b} |" for a, b, x in rows)])
     old = f" {BEFORE}." if any(is_earlier(x) for *_, x in rows) else ""
     yield (
-        f"Over {rows[0][2]['episodes']:,} people each, deterministic (mode) actions.{old} [Forces and gentle success](../care.md) defines gentle success, and "
+        f"Over {rows[0][2]['episodes']:,} people each, deterministic (mode) actions.{old} [Care](../care.md) defines gentle success, and "
         "[results over seeds](../seeds.md) explains how seeds are chosen."
     )
 

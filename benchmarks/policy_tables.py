@@ -50,7 +50,7 @@ def _success(line: Line) -> str:
     return f"{mean} ({low} to {high})"
 
 
-Training = tuple[str, str, int]
+Training = tuple[str, str, int | None]
 """Of a policy: environment, beginning of the commit, seed."""
 KINDS = {"gentle": "one made gentle", "continued": "a continued one"}
 """Results of trainings -> what a policy from them is called; those of others are "an earlier one"."""
@@ -61,12 +61,8 @@ def _training(line: Line) -> Training:
     return line["env"], line.get("policy_commit", line["commit"])[:COMMIT], line["chosen"]
 
 
-def trainings_of_shipped(folder: Path = RESULTS) -> dict[str, tuple[Training, str, int]]:
-    """Environment -> training of the policy that ships, the results it is in, and its number of seeds.
-
-    Raises:
-        ArgumentError: the results have no line of a policy's training.
-    """
+def shipped_trainings(folder: Path = RESULTS) -> dict[str, tuple[Training, str | None, int]]:
+    """Environment -> training of the policy that ships, the results that it is in (None: no line), and its number of seeds."""
     chosen = {
         _training(x): (name, len(x["seeds"]))
         for name in ("selection", "gentle", "continued", "candidates")
@@ -77,18 +73,23 @@ def trainings_of_shipped(folder: Path = RESULTS) -> dict[str, tuple[Training, st
     for path in sorted((asset_root() / "policies").glob("*.npz")):
         info = read_npz(path)[1]
         key = (path.stem, str(info.get("commit"))[:COMMIT], info.get("seed"))
-        if key not in chosen:
-            raise ArgumentError(
-                f"{path.stem}: no result line tells of the training of its policy (commit {key[1]}, seed {key[2]})."
-            )
-        found[path.stem] = (key, *chosen[key])
+        name, count = chosen.get(key, (None, 0))
+        found[path.stem] = (key, name, count)
     return found
 
 
 def chosen_among(folder: Path = RESULTS) -> str:
-    """Among how many seeds each shipped policy was chosen, in a sentence."""
+    """Among how many seeds each shipped policy was chosen, in a sentence.
+
+    Raises:
+        ArgumentError: the results have no line of a policy's training.
+    """
     among: dict[int, list[str]] = {}
-    for env, (_, _, count) in trainings_of_shipped(folder).items():
+    for env, ((_, commit, seed), name, count) in shipped_trainings(folder).items():
+        if name is None:
+            raise ArgumentError(
+                f"{env}: no result line tells of the training of its policy (commit {commit}, seed {seed})."
+            )
         among.setdefault(count, []).append(env.removesuffix("-v0"))
     parts = []
     for count, names in sorted(among.items(), reverse=True):
@@ -141,11 +142,12 @@ def selections(folder: Path = RESULTS) -> str:
 
     if not lines:
         return NOTHING
-    ships = trainings_of_shipped(folder)
+    ships = shipped_trainings(folder)
 
     def policy(line: Line) -> str:
-        key, name, _ = ships[line["env"]]
-        return "the chosen one" if key == _training(line) else KINDS.get(name, "an earlier one")
+        key, name, _ = ships.get(line["env"], (None, None, 0))
+        other = KINDS.get(name, "an earlier one") if name else ""
+        return "the chosen one" if key == _training(line) else other
 
     of = [training(line) for line in lines]
     sign, rows = mark(lines), [overview.cells(*both) for both in zip(lines, of, strict=True)]

@@ -27,7 +27,7 @@ import os, sys
 os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:2])  # before JAX counts the cores
 import jax, jax.numpy as jnp
 from agym_jax.compat import lapack_batches
-print(lapack_batches.apply())
+print(lapack_batches.apply(), flush=True)
 matrices = 12 * jnp.eye(12) + jnp.ones((6, 1024, 12, 12))
 def solve(a, b):
     return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(a + 0 * b[0]), b)

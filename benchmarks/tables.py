@@ -1,6 +1,6 @@
 """Result tables, generated from ``benchmarks/results``: ``python -m benchmarks.tables [--check]``.
 
-Each table in ``PAGES`` is between ``<!-- table:NAME -->`` and ``<!-- /table:NAME -->``. If a configuration was measured
+Each table is between ``<!-- table:NAME -->`` and ``<!-- /table:NAME -->``. If a configuration was measured
 several times, the last line of the file is used. Results with lost contacts are left out.
 """
 
@@ -23,10 +23,11 @@ from benchmarks import (
 from benchmarks.markdown import DATES, RESULTS
 
 ROOT = Path(__file__).resolve().parent.parent
-WITH_TABLES = (
-    "benchmarks", "transfer", "seeds", "sweeps", "speed", "care", "gentle_training", "torch", "viewer",
-)  # fmt: skip
-PAGES = (ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in WITH_TABLES))
+PAGES = tuple(
+    path
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+    if "<!-- table:" in path.read_text()
+)
 
 
 class TableError(ValueError):

@@ -5,7 +5,7 @@ Facts from Assistive Gym v0.1, reference robots.md; kinematics in ``assets/robot
 DEVIATION(baxter-shapes): spheres and capsules stand for AG's cylinders and boxes. The rims of the wrist's cylinder are 25 mm outside ours, those
 of the lower forearm and the hand 18 and 13 mm, and the elbow's end of the upper forearm 37 mm, where the elbow covers a part. AG's fingers are two
 blades, 10 mm thick and closed 45 mm wide, with tips of 42 mm by 29 mm; ours are one capsule of 28 mm radius that does not follow the opening: up to
-25 mm outside the closed blades beside them and 3 mm beyond their tips, and up to 15 mm inside the outer faces of fingers around a cup. The rims of the
+25 mm outside the closed blades beside them and 3 mm beyond their tips, and up to 23 mm inside fingers around a cup. The rims of the
 gripper's base are 12 mm outside ours.
 """
 

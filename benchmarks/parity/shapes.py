@@ -1,7 +1,8 @@
 """Baxter's and Sawyer's forearm, wrist and gripper.
 
 AG's links are cylinders, spheres and boxes; here capsules and spheres stand for them. For each of these links, in its own frame: how far a point of
-AG's surface can be outside these shapes, and a point of theirs outside AG's. Fingers are closed, as in Feeding and Reaching. Neighbouring links, which
+AG's surface can be outside these shapes, and a point of theirs outside AG's. Fingers are closed, as in
+Feeding and Reaching, but where a row says otherwise. Neighbouring links, which
 cover some of these points, are left out. AG's column is 0 by definition. PR2's forearm and hand are above; of Jaco's, only the largest distances are
 known (`jaco-hand`).
 """
@@ -19,7 +20,7 @@ from agym_jax.robots import ROBOTS
 from benchmarks.parity.row import Row
 
 LARGEST = 10.0  # [mm]
-AROUND = 48  # samples around an axis, and 25 along it
+AROUND, ALONG = 48, 25  # samples around an axis, and along it
 
 
 @dataclass(frozen=True)
@@ -57,22 +58,19 @@ class Shape:
         if self.kind == "box":
             grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 15)] * 3), -1).reshape(-1, 3)
             return grid[abs(grid).max(1) == 1] * self.size + self.pos
-        turn = np.linspace(0, 2 * np.pi, AROUND, endpoint=False)
-        tilt = np.linspace(0, np.pi, AROUND)
-        if self.kind == "cylinder":  # radius and height of its sides, then of its faces
-            sides = [(self.size[0], h * self.size[1]) for h in np.linspace(-1, 1, 25)]
-            faces = [(r * self.size[0], s * self.size[1]) for r in np.linspace(0, 1, 9) for s in (-1, 1)]  # fmt: skip
-            rings = np.array(sides + faces)
-        else:
+        turn, axis = np.linspace(0, 2 * np.pi, AROUND, endpoint=False), np.array(self.axis)
+        if self.kind == "cylinder":  # radius and height of rings on its side, then on its faces
+            radius, half = self.size
+            rings = [(radius, h * half) for h in np.linspace(-1, 1, ALONG)]
+            rings += [(r * radius, h) for r in np.linspace(0, 1, ALONG) for h in (-half, half)]
+        else:  # a ball, of a capsule at several places: what is inside does not reach farther than what is outside
             half = self.size[1] if self.kind == "capsule" else 0.0
-            ends = half * np.sign(np.cos(tilt).round(9))
-            rings = self.size[0] * np.stack([np.sin(tilt), np.cos(tilt)], 1) + np.stack([0 * ends, ends], 1)  # fmt: skip
-            sides = [(self.size[0], h * half) for h in np.linspace(-1, 1, 25)]
-            rings = np.concatenate([rings, np.array(sides)])
-        first, second = _across(np.array(self.axis))
+            tilts, places = np.linspace(0, np.pi, AROUND), np.linspace(-half, half, ALONG)
+            rings = [(self.size[0] * np.sin(t), self.size[0] * np.cos(t) + z) for t in tilts for z in places]  # fmt: skip
+        first, second = _across(axis)
         around = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
-        points = rings[:, None, :1] * around + rings[:, None, 1:] * np.array(self.axis)
-        return points.reshape(-1, 3) + self.pos
+        rings = np.array(rings)[:, None]
+        return (rings[..., :1] * around + rings[..., 1:] * axis).reshape(-1, 3) + self.pos
 
 
 def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -82,21 +80,22 @@ def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return first, np.cross(axis, first)
 
 
-def _finger(side: float) -> tuple[Shape, ...]:
-    """One closed finger and its tip, in the frame of the gripper's base; ``side`` is 1 or -1."""
-    return (
-        Shape("box", (0.005, 0.00675, 0.05635), (0.0, side * 0.01575, 0.0815)),
-        Shape("box", (0.005, 0.025, 0.0085), (-side * 0.005, -side * 0.0045, 0.0283)),
-        Shape("box", (0.021, 0.00325, 0.0185), (0.0, side * 0.01125, 0.1177)),
-    )
+def gripper(opening: float = 0.0) -> tuple[Shape, ...]:
+    """AG's gripper, of both robots: cylinder of the base, fingers and their tips, in the frame of the base.
+
+    Args:
+        opening: how far each finger is from where they are closed [m].
+    """
+    found = [Shape("cylinder", (0.029, 0.05), axis=(0.0, 1.0, 0.0))]
+    for side in (1.0, -1.0):
+        found += [
+            Shape("box", (0.005, 0.00675, 0.05635), (0.0, side * (0.01575 + opening), 0.0815)),
+            Shape("box", (0.005, 0.025, 0.0085), (-side * 0.005, side * (opening - 0.0045), 0.0283)),
+            Shape("box", (0.021, 0.00325, 0.0185), (0.0, side * (0.01125 + opening), 0.1177)),
+        ]  # fmt: skip
+    return tuple(found)
 
 
-GRIPPER = (
-    Shape("cylinder", (0.029, 0.05), axis=(0.0, 1.0, 0.0)),
-    *_finger(1.0),
-    *_finger(-1.0),
-)
-"""AG v0.1 assets/baxter and assets/sawyer: cylinder of the base, fingers and their tips."""
 AG = {
     "Baxter": {
         "right_upper_forearm": (
@@ -106,13 +105,13 @@ AG = {
         "right_lower_forearm": (Shape("cylinder", (0.06, 0.05)),),
         "right_wrist": (Shape("cylinder", (0.06, 0.0825)),),
         "right_hand": (Shape("cylinder", (0.04, 0.0232), (0.0, 0.0, -0.0232)),),
-        "right_gripper_base": GRIPPER,
+        "right_gripper_base": gripper(),
     },
     "Sawyer": {
         "right_l4": (Shape("cylinder", (0.045, 0.18), (0.0, 0.0, 0.14)),),
         "right_l5": (Shape("sphere", (0.06,), (0.01, 0.0, 0.09)),),
         "right_l6": (Shape("cylinder", (0.065, 0.025), (0.0, 0.0, -0.005)),),
-        "right_gripper_base": GRIPPER,
+        "right_gripper_base": gripper(),
     },
 }
 """Robot -> link -> AG's collision shapes (AG v0.1, its URDF files)."""
@@ -153,4 +152,8 @@ def rows() -> list[Row]:
                 Row(f"{name}: AG's shapes outside these", "mm", 0.0, missing, LARGEST, why),
                 Row(f"{name}: these outside AG's shapes", "mm", 0.0, extra, LARGEST, why),
             ]
+        around = gripper(ROBOTS[robot].gripper_opening["cup"])
+        missing = farthest(around, ours(robot, "right_gripper_base"))
+        name = f"{robot}, gripper_base around a cup: AG's shapes outside these"
+        found.append(Row(name, "mm", 0.0, missing, LARGEST, f"{robot.lower()}-shapes"))
     return found

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
+from paths import ROOT
 
 from agym_jax.errors import ArgumentError
 from benchmarks import policy_tables
@@ -40,3 +42,11 @@ def test_sweeps_of_other_hyperparameters_do_not_replace_each_other(tmp_path):
     (tmp_path / "sweeps.jsonl").write_text("\n".join(map(json.dumps, lines)) + "\n")
     table = policy_tables.sweeps(tmp_path)
     assert "22.2%" in table and "33.3%" in table and "11.1%" not in table
+
+
+def test_the_share_of_policies_that_help_in_assistive_gym_is_the_tables():
+    table = policy_tables.in_assistive_gym().splitlines()
+    shares = [int(x) for row in table for x in re.findall(r"\| (\d+)% \|$", row)]
+    kept = f"{sum(x >= 80 for x in shares)} of"
+    assert f"where {kept} {len(shares)} keep" in (ROOT / "README.md").read_text()
+    assert f"reached in {kept} these {len(shares)}" in (ROOT / "docs" / "transfer.md").read_text()

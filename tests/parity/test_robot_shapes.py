@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from parity_rows import assert_rows_hold_or_name_a_deviation
 
-from benchmarks.parity.shapes import AG, Shape, farthest, ours, rows
+from benchmarks.parity.shapes import AG, Shape, farthest, gripper, ours, rows
 
 BALL = Shape("sphere", (0.02,), (0.1, 0.0, 0.0))
 POINTS = np.array([[0.1, 0.0, 0.0], [0.15, 0.0, 0.0], [0.1, 0.03, 0.04]])
@@ -52,3 +52,9 @@ def test_a_cylinders_rims_are_outside_the_capsule_of_its_length():
 @pytest.mark.parametrize("robot", AG)
 def test_each_link_has_shapes_here(robot):
     assert all(ours(robot, link) for link in AG[robot])
+
+
+def test_open_fingers_are_as_much_wider_as_each_is_moved():
+    closed, opened = (np.concatenate([x.surface() for x in gripper(o)[1::3]]) for o in (0.0, 0.02))
+    assert np.ptp(opened[:, 1]) - np.ptp(closed[:, 1]) == pytest.approx(0.04)
+    np.testing.assert_allclose(np.ptp(opened, axis=0)[[0, 2]], np.ptp(closed, axis=0)[[0, 2]])

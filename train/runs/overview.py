@@ -144,11 +144,10 @@ def cells(selection: Mapping[str, Any], training: Mapping[str, Any] | None) -> l
         selection: line of ``select``.
         training: from ``training_summary``; None leaves its columns empty.
     """
-    each, seeds = selection["success_of_seeds"], selection["seeds"]
-    marked = (
-        f"**{100 * x:.3g}**" if seed == selection["chosen"] else f"{100 * x:.3g}"
-        for seed, x in zip(seeds, each, strict=True)
-    )
+    each = selection["success_of_seeds"]
+    shown = [f"{100 * x:.3g}" for x in each]
+    chosen = selection["seeds"].index(selection["chosen"])
+    shown[chosen] = f"**{shown[chosen]}**"
     lost = training["num_seeds"] - training["seeds_at_end"] if training else 0
     low, high = selection["success_iqm_low"], selection["success_iqm_high"]
     size, reached, took, gentle = str(len(each)), "", "", ""
@@ -166,7 +165,7 @@ def cells(selection: Mapping[str, Any], training: Mapping[str, Any] | None) -> l
     return [
         selection["env"],
         size,
-        ", ".join(marked) + (f" ({lost} diverged)" if lost else ""),
+        ", ".join(shown) + (f" ({lost} diverged)" if lost else ""),
         share(min(each)),
         f"{share(selection['success_iqm'])} ({share(low)} to {share(high)})",
         share(max(each)),

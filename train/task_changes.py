@@ -46,7 +46,7 @@ _MANY_STROKES: dict[str, Any] = (
 _STEADY_STROKES: dict[str, Any] = _MANY_STROKES | {"lr": 2.5e-4, "entropy_coef": 0.012}
 
 # Without the entropy bonus the tool learns to press on the arm instead of getting beneath it. With it, the noise grows (Jaco's with 0.02)
-# and actions are at their limits: a third of PR2's, nearly all of Jaco's.
+# and actions are at their limits: a third of PR2's, nearly all of Jaco's and Baxter's.
 _LIFT: dict[str, Any] = _TOUCH | {
     "lr": 1.2e-3,
     "gamma": 0.995,

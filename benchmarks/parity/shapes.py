@@ -1,10 +1,9 @@
 """Baxter's and Sawyer's forearm, wrist and gripper.
 
 AG's links are cylinders, spheres and boxes; here capsules and spheres stand for them. For each of these links, in its own frame: how far a point of
-AG's surface can be outside these shapes, and a point of theirs outside AG's. Fingers are closed, as in
-Feeding and Reaching, but where a row says otherwise. Neighbouring links, which
-cover some of these points, are left out. AG's column is 0 by definition. PR2's forearm and hand are above; of Jaco's, only the largest distances are
-known (`jaco-hand`).
+AG's surface can be outside these shapes, and a point of theirs outside AG's. Fingers are closed, as in Feeding and Reaching, but where a row says
+otherwise. Neighbouring links, which cover some of these points, are left out. AG's column is 0 by definition. PR2's forearm and hand are above; of
+Jaco's, only the largest distances are known (`jaco-hand`).
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from .task_changes import CPU_CHANGES, TASK_CHANGES
 POSITIVE = ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling")
 NOT_NEGATIVE = (
     "value_loss_coef", "entropy_coef", "policy_head_gain",
-    "noise_floor", "noise_ceiling", "target_kl",
+    "noise_floor", "noise_ceiling",
     "cost_limit", "cost_proportional", "cost_integral", "cost_derivative", "cost_multiplier_max",
 )  # fmt: skip
 SHARES = (
@@ -81,9 +81,6 @@ class LearnConfig(EnvFlags):
     """Lambda of generalised advantage estimation."""
     clip_param: float = 0.2
     """Clipping range of the probability ratio, and of the value if clip_value_loss is set."""
-    target_kl: float = 0.0
-    """Once a mini-batch's KL divergence from the policy that acted exceeds 1.5 times this, the rest of the update changes only
-    the value function; 0 = no bound."""
     clip_value_loss: bool = False
     """Also clip the change of the value prediction, as Assistive Gym's trainer does."""
     recompute_advantages: bool | None = None

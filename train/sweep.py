@@ -37,7 +37,7 @@ from .runs.session import resolve_config, run_session
 SWEPT = (
     "lr", "use_linear_lr_decay", "gamma", "gae_lambda", "clip_param", "value_loss_coef", "entropy_coef",
     "entropy_decay_share", "max_grad_norm", "eps", "reward_scaling", "clip_value_loss", "recompute_advantages",
-    "noise_floor", "noise_ceiling", "noise_ceiling_from", "value_warm_up", "target_kl",
+    "noise_floor", "noise_ceiling", "noise_ceiling_from", "value_warm_up",
     "cost_limit", "cost_multiplier_max", "cost_proportional", "cost_integral", "cost_derivative", "cost_margin", "cost_tighten_from", "cost_tighten_until",
 )  # fmt: skip
 """Settings that are arguments of the compiled update. A sweep without ``cost_limit`` has no cost limit."""

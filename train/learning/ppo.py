@@ -41,7 +41,6 @@ from .optimizer import make_optimizer, moved
 from .rollout import Batch
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
-KL_TOLERANCE = 1.5  # times the target: an update goes on until there, as in OpenAI's Spinning Up
 LOSSES = ("policy_loss", "value_loss", "entropy", "kl", "clip_fraction", "noise_std")
 
 
@@ -71,7 +70,6 @@ class Hyper:
     noise_ceiling: Any  # largest deviation at the end; 0: none
     noise_ceiling_from: Any  # share of the run from which it falls
     value_warm_up: Any  # share of the run before which the policy stays as it is
-    most_kl: Any  # divergence of a mini-batch from which on the policy stays as it is until the next rollout; 0: none
     constraint: ConstraintHyper | None = None  # None without a cost limit
 
     @classmethod
@@ -106,7 +104,6 @@ class Hyper:
             "noise_ceiling": config.noise_ceiling,
             "noise_ceiling_from": config.noise_ceiling_from,
             "value_warm_up": config.value_warm_up or 0.0,
-            "most_kl": KL_TOLERANCE * config.target_kl,
         }
         numbers = {name: np.float32(value) for name, value in values.items()}
         constraint = ConstraintHyper.of(config, episode_length)
@@ -324,7 +321,7 @@ def learn(
     def step(
         data: dict[str, jax.Array], carry: tuple, item: tuple
     ) -> tuple[tuple, dict[str, jax.Array]]:
-        params, state, near = carry
+        params, state = carry
         rows, key = item
         part = {name: leaf[rows] for name, leaf in data.items()}
         with jax.default_matmul_precision(config.gradient_precision):
@@ -334,12 +331,11 @@ def learn(
             )  # fmt: skip
         update: Any = optimizer.update(mean(grads), state)
         changes, state = update
-        near *= (mean(scalars["kl"]) <= hyper.most_kl) | (hyper.most_kl == 0)
         params = PPONetworkParams(
-            policy=moved(params.policy, changes.policy, near * policy_rate),
+            policy=moved(params.policy, changes.policy, policy_rate),
             value=moved(params.value, changes.value, rate),
         )
-        return (params, state, near), scalars
+        return (params, state), scalars
 
     def epoch(carry: tuple, key: jax.Array) -> tuple[tuple, dict[str, jax.Array]]:
         key_order, key_steps = jax.random.split(key)
@@ -350,9 +346,8 @@ def learn(
         items = (order, jax.random.split(key_steps, len(order)))
         return jax.lax.scan(partial(step, data | now), carry, items)
 
-    near = jnp.ones_like(progress)  # 0 once the policy is too far from the one that acted
-    (params, state, _), scalars = jax.lax.scan(
-        epoch, (agent.params, agent.optimizer, near), jax.random.split(key, config.ppo_epoch)
+    (params, state), scalars = jax.lax.scan(
+        epoch, (agent.params, agent.optimizer), jax.random.split(key, config.ppo_epoch)
     )
     normalizer, critic_normalizer = agent.normalizer, agent.critic_normalizer
     if config.normalize_observations:

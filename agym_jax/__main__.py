@@ -171,17 +171,23 @@ def list_ids(argv: Sequence[str] | None = None, prog: str = "agym-jax list") -> 
 
 
 def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax observe") -> int:
-    """Print an environment's observation tables and return the exit status."""
-    recipe = _recipe(argv, prog, "Print an environment's observations.")
+    """Print an environment's observation tables and its actions, and return the exit status."""
+    recipe = _recipe(argv, prog, "Print an environment's observations and actions.")
     if recipe is None:
         return 2
     from agym_jax import observe
 
-    records = {"Robot": recipe.task.robot_obs}
+    task = recipe.task
+    arms = recipe.robot.arms_for(task)
+    agents = {"Robot": (task.robot_obs, [name for arm in arms for name in arm.joints])}
     if recipe.active:
-        records["Human"] = recipe.task.human_obs
-    for title, record in records.items():
+        agents["Human"] = (task.human_obs, task.human.moving(True))
+    for title, (record, joints) in agents.items():
         print(f"{title}: {observe.size(record)} columns\n\n{observe.table(record)}\n")
+        print(
+            f"{title}: {len(joints)} actions, clipped to [-1, 1], for {', '.join(joints)}. In each control step, the target of a "
+            f"joint is its angle plus {task.control.action_scale:g} rad times its action.\n"
+        )
     return 0
 
 

@@ -36,9 +36,9 @@ def parse_count(text: str) -> int:
     try:
         value = float(text.replace("_", ""))
     except ValueError:
-        raise ValueError(f"{text!r} is not a number; write 10000000 or 1e7") from None
+        raise ValueError(f"{text!r} is not a number, such as 20000 or 2e4") from None
     if not math.isfinite(value) or value < 0 or value != int(value):
-        raise ValueError(f"{text!r} is not a whole number >= 0; write 10000000 or 1e7")
+        raise ValueError(f"{text!r} is not a whole number of at least 0, such as 20000 or 2e4")
     return int(value)
 
 

@@ -168,7 +168,7 @@ def test_a_policy_meets_other_people_for_other_lengths():
         check_policy(policy, env, NAME)
     # trained with people of both kinds of size, for the id as it is
     assert policy.info["changes"] and policy.info["meant_for"] == {}
-    where = "is the default where the policy is meant to run"
+    where = "is the default for this policy"
     said = f"episode_length {where}, 50 here; humans.impairments {where}, ['tremor'] here"
     assert trained_otherwise(policy, env) == said
     plain = dataclasses.replace(policy, info=policy.info | {"changes": {}})

@@ -35,7 +35,7 @@ MAX_ENV_STEPS = 2**32 - 1  # the learner counts steps in 32 unsigned bits
 class LearnConfig(EnvFlags):
     """Settings shared by all trainers; see ``PPOConfig`` and ``CoopConfig``."""
 
-    num_env_steps: Count = 10_000_000
+    num_env_steps: Annotated[Count, tyro.conf.arg(aliases=["--total-timesteps"])] = 10_000_000
     """Total number of environment steps, such as 1e7; rounded up to whole updates."""
     save_dir: str | None = "trained_models"
     """Folder for the results; each environment gets its own subfolder. None writes nothing."""
@@ -59,15 +59,15 @@ class LearnConfig(EnvFlags):
     steps per second, but fewer updates for the same number of steps."""
     num_steps: Count = 20
     """Steps of each environment per update."""
-    ppo_epoch: Count = 4
+    ppo_epoch: Annotated[Count, tyro.conf.arg(aliases=["--epochs"])] = 4
     """Passes over the data of each update."""
-    num_mini_batch: Count = 8
+    num_mini_batch: Annotated[Count, tyro.conf.arg(aliases=["--num-minibatches"])] = 8
     """Gradient steps per pass; fewer if a mini-batch would have less than 80 samples."""
     stagger: bool = True
     """Start the environments at different times within their first episode, so that every update contains most phases of an
     episode (requires support by the environment; the first episodes are not counted)."""
 
-    lr: float = 3e-4
+    lr: Annotated[float, tyro.conf.arg(aliases=["--learning-rate"])] = 3e-4
     """Learning rate of Adam."""
     eps: float = 1e-5
     """Epsilon of Adam."""
@@ -79,7 +79,7 @@ class LearnConfig(EnvFlags):
     """Discount factor per step."""
     gae_lambda: Annotated[float, tyro.conf.arg(aliases=["--tau"])] = 0.95
     """Lambda of generalised advantage estimation."""
-    clip_param: float = 0.2
+    clip_param: Annotated[float, tyro.conf.arg(aliases=["--clip-range"])] = 0.2
     """Clipping range of the probability ratio, and of the value if clip_value_loss is set."""
     clip_value_loss: bool = False
     """Also clip the change of the value prediction, as Assistive Gym's trainer does."""

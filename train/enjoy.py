@@ -323,7 +323,7 @@ def play(config: EnjoyConfig, env: Any, policy: AnyPolicy) -> list[Frame]:
             f"{len(lasts)} of {config.episodes} found: no other of the {LOOK_THROUGH} episodes with {seeds}"
         )
     if config.clip:
-        print(f"Film: {write_clip(pictures, config.clip, fps=round(1 / env.dt))}")
+        print(f"Video: {write_clip(pictures, config.clip, fps=round(1 / env.dt))}")
     if config.sheet:
         print(f"Pictures: {contact_sheet(pictures, config.sheet, labels=labels)}")
     return lasts

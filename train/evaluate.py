@@ -100,6 +100,7 @@ def main(
     result = evaluate(
         env, policy, config.num_episodes, config.seed, deterministic=not config.non_det
     )
+    print(f"Policy: {', '.join(str(x) for x in (files.robot, files.human) if x)}")
     if otherwise := trained_otherwise(policy, env):
         print(f"Differs from training: {otherwise}.")
     print(result.table(config.by_group))

@@ -243,7 +243,8 @@ def check_writable(folder: Path, advice: str = "Choose another with --save-dir."
         os.close(handle)
         os.unlink(probe)
     except OSError as error:
+        reason = "it is a file" if folder.is_file() else error.strerror or error
         raise SaveFolderError(
-            f"Cannot write to the folder {str(folder)!r}: {error.strerror or error}. Nothing has "
+            f"Cannot write to the folder {str(folder)!r}: {reason}. Nothing has "
             f"been computed yet. {advice}"
         ) from error

@@ -74,8 +74,8 @@ class Report:
             f"{k} {share(v, self.start_reached)}" for k, v in self.goals_reached.items()
         )
         return (
-            f"{self.tried} tried, start reached by {share(self.start_reached, self.tried)}; of "
-            f"these {goals or 'no further goals'}; {self.kept} kept"
+            f"{self.tried} tried, {share(self.start_reached, self.tried)} reach the start"
+            f"{f', of which reach {goals}' if goals else ''}; {self.kept} kept"
         )
 
 

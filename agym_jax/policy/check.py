@@ -18,7 +18,7 @@ FLAGS = {
     "human": "--human-policy, and an id whose person acts (...Human-v0)",
     "joint": "--policy alone, and the id it was trained in",
 }
-MEANT = "where the policy is meant to run"
+MEANT = "for this policy"
 
 
 def train_command(env_name: str) -> str:

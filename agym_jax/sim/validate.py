@@ -141,7 +141,7 @@ def check_seat(spec: mujoco.MjSpec, seat: SeatSpec) -> None:
     """
     _check_text(f"The seat {seat.name}'s geoms", seat.geoms)
     _check_there(
-        f"The seat {seat.name}'s file {seat.model}", "geom", (*seat.geoms, *seat.pillow),
+        f"The seat {seat.name}'s file {seat.model}", "geom", (*seat.geoms, *seat.pillow, *seat.outline),
         _named(spec.geoms),
     )  # fmt: skip
 

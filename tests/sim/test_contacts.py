@@ -136,6 +136,16 @@ def test_every_link_of_an_arm_meets_every_limb_and_its_trunk_the_helped_arm():
         assert {x: met[x] for x in set(met) - links} == {f"robot/{x}": arm for x in moved}
 
 
+def test_tools_and_robots_but_no_limbs_meet_the_pillow():
+    pillow = {f"seat/{x}" for x in WIPE.seat.outline}
+    for robot in ROBOTS.values():
+        met = contact_pairs(WIPE, robot, WIPE.human.moving(True))
+        links = {f"robot/{x}" for x in robot.arms["left"].links}
+        assert links == {a for a, b in met["robot_seat"] if b in pillow}
+        assert pillow == {b for _, b in met["tool/seat"]} & pillow
+        assert not pillow & {b for _, b in met["human_seat"]}
+
+
 def test_a_pedestal_meets_arms_that_move():
     task, robot = TASKS["ArmManipulation"], ROBOTS["Sawyer"]
     met = set(contact_pairs(task, robot, task.human.moving(False))["robot_human"])
@@ -166,7 +176,19 @@ def test_hand_wrist_and_forearm_meet_the_bed_and_the_hand_the_armrest():
     ],
 )  # fmt: skip
 def test_arms_rest_on_the_bed_where_they_do_in_assistive_gym(robot, place, yaw, angles):
-    robot = ROBOTS[robot]
+    gaps = gaps_to_bed(ROBOTS[robot], place, yaw, angles, WIPE.seat.geoms)
+    assert -0.005 < min(gaps.values()) < 0.01
+
+
+def test_the_last_link_rests_on_the_pillow_where_it_does_in_assistive_gym():
+    # recorded as above, with 7 N
+    pose = (-1.0678, -0.2758), (0.9812, 0.1932), (0.4887, 0.4020, 2.2411, -0.7969, -1.1958, -1.4518, 1.6004)  # fmt: skip
+    gaps = gaps_to_bed(ROBOTS["Sawyer"], *pose, WIPE.seat.outline)
+    assert -0.005 < gaps["robot/right_l6_collision", "seat/pillow_side_outline"] < 0.01
+
+
+def gaps_to_bed(robot, place, yaw, angles, geoms):
+    """Distances of the links of a robot's arm to parts of the bed that they may touch [m]."""
     scene = build_scene(WIPE, robot)
     model, index = copy.copy(scene.model), scene.index
     data, (cos, sin) = mujoco.MjData(model), yaw
@@ -188,11 +210,12 @@ def test_arms_rest_on_the_bed_where_they_do_in_assistive_gym(robot, place, yaw, 
             model, data, model.geom(part).id, model.geom(seat).id, 1.0, None
         )
         for part, seat in (
-            (f"robot/{x}", f"seat/{y}") for x in robot.arms["left"].links for y in WIPE.seat.geoms
+            (f"robot/{x}", f"seat/{y}") for x in robot.arms["left"].links for y in geoms
         )
         if frozenset((part, seat)) in paired
     }
-    assert -0.005 < min(gaps.values()) < 0.01
+    assert gaps
+    return gaps
 
 
 # -- robots that meet themselves and what they stand on ----------------------------------------

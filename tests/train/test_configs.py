@@ -36,7 +36,7 @@ def test_other_counts_are_refused(text):
 def test_a_wrong_count_on_the_command_line_says_how_to_write_it(capsys):
     with pytest.raises(SystemExit):
         parse_arguments(["--num-env-steps", "many"])
-    assert "write 10000000 or 1e7" in " ".join(capsys.readouterr().err.split())
+    assert "such as 20000 or 2e4" in " ".join(capsys.readouterr().err.split())
 
 
 def test_flags_have_assistive_gyms_names():

@@ -130,7 +130,7 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
         raise CheckpointMismatchError(
             f"{path} has checkpoint format {meta.get('format')}, this version reads {FORMAT}. {advice}"
         )
-    theirs = {"changes": {}, **meta["compatibility"]}
+    theirs = {"changes": {}, "num_seeds": 1, **meta["compatibility"]}
     trainer = compatibility.get("trainer", theirs.get("trainer"))
     if theirs.get("trainer") != trainer:
         raise CheckpointMismatchError(
@@ -140,9 +140,11 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
         )
     differ = [
         f"{name} is {theirs.get(name)!r}, this run has {value!r}"
-        for name, value in compatibility.items()
-        if name != "changes" and theirs.get(name) != value
+        for name, value in {"num_seeds": 1, **compatibility}.items()
+        if name not in ("changes", "lanes") and theirs.get(name) != value
     ]
+    if not differ and theirs.get("lanes") != (lanes := compatibility.get("lanes")):
+        differ.append(f"its trainings are {theirs.get('lanes')}, those of this run {lanes}")
     if changed := describe(theirs["changes"], compatibility.get("changes", {}), "in the run"):
         differ.append(changed)
     if differ:

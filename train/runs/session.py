@@ -322,6 +322,8 @@ def command_line(
     """
     words = command_words(arguments)
     try:
+        if {"-h", "--help"} & {*words}:  # it shows the defaults of this machine
+            parse_arguments(words, kind, prog, jax.default_backend())
         config = parse_arguments(words, kind, prog)
         signal.signal(signal.SIGTERM, _on_terminate)
         if make is make_env:

@@ -22,7 +22,7 @@ TURN = (math.pi / 2, 0.0, 0.0)  # rpy [rad]
 
 
 def shapes(path: Path = BED) -> list[dict[str, Any]]:
-    """The collision geoms of the bed's file, without ``LEFT_OUT``.
+    """The collision geoms of the bed's file, without ``LEFT_OUT`` and outlines.
 
     Raises:
         ValueError: there are more than ``MOST``.
@@ -35,6 +35,8 @@ def shapes(path: Path = BED) -> list[dict[str, Any]]:
     for geom in ET.parse(path).getroot().iter("geom"):
         name = geom.get("name", "").removesuffix("_collision")
         if geom.get("class") != "collision" or not name or name in LEFT_OUT:
+            continue
+        if name.endswith("_outline"):  # of the pillow, whose boxes are there
             continue
         numbers = {k: np.array([float(x) for x in geom.get(k, "").split()]) for k in ("size", "pos", "xyaxes", "fromto")}  # fmt: skip
         if geom.get("type") == "capsule":

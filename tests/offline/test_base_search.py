@@ -340,7 +340,9 @@ def test_unreachable_start_is_refused():
     far = dataclasses.replace(
         ROBOTS["Sawyer"], searches={"BedBathing": BaseSearch((-4.0, 0.0, 0.905))}
     )
-    with pytest.raises(SpecError, match=r"Sawyer finds no free start for BedBathing: .* 0 % reach the start"):
+    with pytest.raises(
+        SpecError, match=r"Sawyer finds no free start for BedBathing: .* 0 % reach the start"
+    ):
         search(WipeHere(), far, size=2, attempts=4)
 
 

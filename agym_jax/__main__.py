@@ -179,7 +179,7 @@ def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax o
 
     task = recipe.task
     arms = recipe.robot.arms_for(task)
-    agents = {"Robot": (task.robot_obs, [name for arm in arms for name in arm.joints])}
+    agents = {"Robot": (task.robot_obs, tuple(name for arm in arms for name in arm.joints))}
     if recipe.active:
         agents["Human"] = (task.human_obs, task.human.moving(True))
     for title, (record, joints) in agents.items():

@@ -29,14 +29,16 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
 
     Args:
         source: an environment id, to load its shipped policy; or the path of a file (``.npz``) or of a training run's
-            folder (``trained_models/ScratchItchJaco-v0``). A string is taken as a path if it contains a slash.
+            folder (``trained_models/ScratchItchJaco-v0``). A string is taken as a path if it contains a slash, or if it is no
+            id and there is such a folder.
         env: environment that the policy must fit; None skips this check.
 
     Returns:
         The policy of all active agents: a pair if robot and person each have their own.
     """
     text = str(source).removeprefix("agym_jax/")
-    if isinstance(source, Path) or "/" in text or "\\" in text or text.endswith(".npz"):
+    is_path = isinstance(source, Path) or "/" in text or "\\" in text or text.endswith(".npz")
+    if is_path or (text not in shipped() and Path(text).is_dir()):
         files = _files_at(Path(source), None if env is None else env.name)
     else:
         files = find_policies(text)
@@ -59,6 +61,10 @@ def _files_at(path: Path, env_name: str | None) -> PolicyFiles:
     path = path if env_name is None else run_folder(path, env_name)
     if not run_file(path, "robot").is_file() and _seeds(path):
         raise _unchosen(path)
+    if not run_file(path, "robot").is_file() and (runs := sorted(path.glob("*/policy.npz"))):
+        raise PolicyNotFoundError(
+            f"{str(path)!r} holds runs, not a policy. Name one of them: {', '.join(str(run.parent) for run in runs)}."
+        )
     human = run_file(path, "human")
     return PolicyFiles(str(run_file(path, "robot")), str(human) if human.is_file() else None)
 

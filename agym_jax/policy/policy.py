@@ -209,11 +209,6 @@ def shipped() -> list[str]:
 
 def not_found(path: Path) -> PolicyNotFoundError:
     """Make an error that lists the policies near a missing one."""
-    if path.is_dir() and (runs := sorted(x.parent.name for x in path.glob("*/policy.npz"))):
-        return PolicyNotFoundError(
-            f"{str(path)!r} is a folder of runs, not a policy. In it: {', '.join(map(repr, runs))}; name one of "
-            f"these, such as {str(path / runs[0])!r}."
-        )
     folder = path.parent
     near = sorted(p.name for p in folder.glob("*.npz")) if folder.is_dir() else []
     text = f"No policy {str(path)!r}. "

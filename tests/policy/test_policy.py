@@ -77,12 +77,18 @@ def test_the_mode_of_a_gaussian_is_clipped_not_squashed():
     assert np.abs(policy(obs)).max() == 1.0
 
 
-def test_a_missing_policy_lists_what_is_there(tmp_path, policy):
+def test_a_missing_policy_lists_what_is_there(tmp_path, policy, monkeypatch):
     save_policy(tmp_path / "reach.npz", policy)
     with pytest.raises(PolicyNotFoundError, match=r"raech.npz.*Did you mean 'reach.npz'.*ship for"):
         load_policy(tmp_path / "raech.npz")
     save_policy(tmp_path / "FakeReach-v0" / "policy.npz", policy)
     assert find_policy("FakeReach-v0", tmp_path).is_file()
+    with pytest.raises(PolicyNotFoundError, match=r"holds runs, not a policy.*/FakeReach-v0\."):
+        load_policy(tmp_path)
+    monkeypatch.chdir(tmp_path.parent)
+    assert load_policy(tmp_path.name, FakeEnv()).info["env"] == "FakeReach-v0"
+    with pytest.raises(PolicyNotFoundError, match="holds runs, not a policy"):
+        load_policy(tmp_path.name)
     text = r"No policy for 'FakeReech-v0'.*Did you mean 'FakeReach-v0'.*agym-jax train"
     with pytest.raises(PolicyNotFoundError, match=text):
         find_policy("FakeReech-v0", tmp_path)
@@ -207,7 +213,7 @@ def test_a_policy_is_loaded_by_id_file_or_folder(tmp_path, monkeypatch, policy):
     assert agym_jax.load_policy(Path("ReachingJaco-v0")).arch == policy.arch
     with pytest.raises(PolicyNotFoundError, match=r"Did you mean 'ReachingJaco-v0'"):
         agym_jax.load_policy("ReachingJako-v0")
-    with pytest.raises(PolicyNotFoundError, match=r"No policy '.*policy\.npz'"):
+    with pytest.raises(PolicyNotFoundError, match="holds runs, not a policy"):
         agym_jax.load_policy(tmp_path)
 
 

@@ -202,6 +202,7 @@ def test_the_command_line_evaluates_and_records(tmp_path, capsys, policy):
     text = capsys.readouterr().out
     assert "6 episodes" in text and "95 % interval" in text and "±" in text
     assert "Actions: the mode" in text and "--non-det" in text
+    assert f"Policy: {tmp_path / 'FakeReach-v0' / 'policy.npz'}" in text
     line = json.loads(out.read_text().splitlines()[0])
     assert line["kind"] == "evaluation" and line["env"] == "FakeReach-v0" and line["episodes"] == 6
     assert {"commit", "device", "versions", "time", "success", "success_low"} <= line.keys()

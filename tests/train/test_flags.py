@@ -70,6 +70,16 @@ def test_the_help_of_trainers_says_whose_defaults_it_shows(main, capsys):
     usual = CoopConfig.env_name if main is coop.main else PPOConfig.env_name
     assert f"those of the environment named by --env-name ({usual} if it is left out)" in words
     assert "add --env-name ID before --help" in words and "--task.eaten" in out
+    assert "128 128" in words, "defaults of a CPU"
+
+
+def test_hyperparameters_have_the_names_of_other_libraries_too():
+    words = (
+        "--learning-rate 1e-3 --epochs 3 --num-minibatches 2 --clip-range 0.1 --total-timesteps 2e4"
+    )
+    config = parse_arguments(words.split())
+    assert (config.lr, config.ppo_epoch, config.num_mini_batch) == (1e-3, 3, 2)
+    assert (config.clip_param, config.num_env_steps) == (0.1, 20_000)
 
 
 @pytest.mark.parametrize("module", [evaluate, crossplay, demo])

@@ -130,7 +130,7 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
         raise CheckpointMismatchError(
             f"{path} has checkpoint format {meta.get('format')}, this version reads {FORMAT}. {advice}"
         )
-    theirs = {"changes": {}, "num_seeds": 1, **meta["compatibility"]}
+    theirs: dict[str, Any] = {"changes": {}, "num_seeds": 1, **meta["compatibility"]}
     trainer = compatibility.get("trainer", theirs.get("trainer"))
     if theirs.get("trainer") != trainer:
         raise CheckpointMismatchError(

@@ -26,7 +26,7 @@ from .evaluation.evaluator import Evaluator
 from .evaluation.seed_scores import SeedScores, score_seeds
 from .evaluation.statistics import improvement_interval, probability_of_improvement
 from .runs.record import append_record, record
-from .select import load_seeds
+from .select import load_seeds, say
 
 MORE = {"successes": "more successes", "returns": "a higher return"}
 SAME = {"successes": "the same number of successes", "returns": "the same return"}
@@ -84,7 +84,10 @@ def main(
 
     _, second = load_seeds(runs[1], same, config.impl)
     evaluator, key = Evaluator(env, config.num_episodes), jax.random.PRNGKey(config.seed)
-    scores = [score_seeds(evaluator, policies, key) for policies in (first, second)]
+    scores = []
+    for run, policies in zip(config.runs, (first, second), strict=True):
+        print(f"{run}: {config.num_episodes} episodes of each seed", file=sys.stderr, flush=True)
+        scores.append(score_seeds(evaluator, policies, key, report=say))
     for run, found in zip(config.runs, scores, strict=True):
         print(f"{run}\n{found.table()}")
     better = improvement(*scores)

@@ -137,11 +137,12 @@ def select(
     usual = "gentle" if had_limit(Path(config.run)) else "success"
     by = usual if config.by == "auto" else config.by
     key = jax.random.PRNGKey(config.seed)
-    scores = score_seeds(evaluator, policies, key, by=by, report=_say)
+    scores = score_seeds(evaluator, policies, key, by=by, report=say)
     return scores, evaluator(policies[scores.best], jax.random.PRNGKey(config.report_seed))
 
 
-def _say(text: str) -> None:
+def say(text: str) -> None:
+    """Print a line of progress."""
     print(text, file=sys.stderr, flush=True)
 
 

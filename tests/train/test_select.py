@@ -155,7 +155,7 @@ def test_what_has_learned_is_better_than_what_has_not(runs, tmp_path, capsys):
 
 
 def test_runs_without_any_difference_are_called_equal(monkeypatch, runs, capsys):
-    monkeypatch.setattr(compare, "score_seeds", lambda *_: scores([1, 0], [0, 1]))
+    monkeypatch.setattr(compare, "score_seeds", lambda *_, **__: scores([1, 0], [0, 1]))
     assert compare.main([str(runs[0]), str(runs[0]), "--num-episodes", "2"], make) == 0
     out = capsys.readouterr().out
     assert "All seeds of both runs have the same number of successes.\n" in out

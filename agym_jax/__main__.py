@@ -186,7 +186,7 @@ def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax o
         print(f"{title}: {observe.size(record)} columns\n\n{observe.table(record)}\n")
         print(
             f"{title}: {len(joints)} actions, clipped to [-1, 1], for {', '.join(joints)}. In each control step, the target of a "
-            f"joint is its angle plus {task.control.action_scale:g} rad times its action.\n"
+            f"joint is its angle at the start of the step plus {task.control.action_scale:g} rad times its action, within its limits.\n"
         )
     return 0
 

@@ -27,7 +27,7 @@ CHANGES: dict[str, tuple[tuple[str, ...], str]] = {
     ),
     "2026-11-24T19:10": (
         tuple(f"{task}Sawyer" for task in TASKS),
-        "Sawyer's arm meets its pedestal and the base of its arm; the last link has Assistive Gym's size",
+        "Sawyer's arm meets its pedestal and the base of its arm; the last link is a sphere 4 mm inside the rims of Assistive Gym's (before, half as thick)",
     ),
     "2026-11-25T00:30": (
         ("BedBathing", "ArmManipulation"),

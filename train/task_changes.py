@@ -75,7 +75,8 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     "DressingBaxter": _ELBOW,
     "DressingJaco": _ELBOW,
     "DressingPR2": _ELBOW,
-    # seeds that fail hold the cuff beside the hand: by the mode of eight seeds, interquartile mean 31 % (6 M steps), with _ELBOW 0 (3.5 M)
+    # seeds that fail hold the cuff beside the hand: by the mode of eight seeds, interquartile mean 31 % (6 M steps), with _ELBOW 0 (3.5 M);
+    # its pair takes it too, and was trained without
     "DressingSawyer": _SLEEVE,
     "ArmManipulation": _LIFT,
     # with 0.01 the noise falls before the arm is lifted: interquartile mean of eight seeds 6 % (6 M steps); with 0.02 28 % of four seeds while

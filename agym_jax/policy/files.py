@@ -29,8 +29,8 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
 
     Args:
         source: an environment id, to load its shipped policy; or the path of a file (``.npz``) or of a training run's
-            folder (``trained_models/ScratchItchJaco-v0``). A string is taken as a path if it contains a slash, or if it is no
-            id and there is such a folder.
+            folder (``trained_models/ScratchItchJaco-v0``). A string is taken as a path if it contains a slash, or if
+            no policy ships under that name and there is such a folder.
         env: environment that the policy must fit; None skips this check.
 
     Returns:
@@ -38,8 +38,11 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
     """
     text = str(source).removeprefix("agym_jax/")
     is_path = isinstance(source, Path) or "/" in text or "\\" in text or text.endswith(".npz")
-    if is_path or (text not in shipped() and Path(text).is_dir()):
-        files = _files_at(Path(source), None if env is None else env.name)
+    name = None if env is None else env.name
+    if is_path:
+        files = _files_at(Path(source), name)
+    elif text not in shipped() and Path(text).is_dir():
+        files = _files_at(Path(text), name)
     else:
         files = find_policies(text)
     robot = read_policy(files.robot)
@@ -58,12 +61,12 @@ def _files_at(path: Path, env_name: str | None) -> PolicyFiles:
     """Return the policies in a file, in the folder of a run, or in the ``--save-dir`` of an environment's run."""
     if not path.is_dir():
         return PolicyFiles(str(path), None)
-    path = path if env_name is None else run_folder(path, env_name)
+    given, path = path, path if env_name is None else run_folder(path, env_name)
     if not run_file(path, "robot").is_file() and _seeds(path):
         raise _unchosen(path)
-    if not run_file(path, "robot").is_file() and (runs := sorted(path.glob("*/policy.npz"))):
+    if not run_file(path, "robot").is_file() and (runs := sorted(given.glob("*/policy.npz"))):
         raise PolicyNotFoundError(
-            f"{str(path)!r} holds runs, not a policy. Name one of them: {', '.join(str(run.parent) for run in runs)}."
+            f"{str(given)!r} holds runs, not a policy. Name one of them: {', '.join(str(run.parent) for run in runs)}."
         )
     human = run_file(path, "human")
     return PolicyFiles(str(run_file(path, "robot")), str(human) if human.is_file() else None)

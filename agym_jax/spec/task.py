@@ -83,9 +83,7 @@ class SeatSpec:
     limb_rolling: float | None = None  # of a limb and the seat together [m]; None: by material
     tool_rolling: float | None = None  # the same of a tool or the robot and the seat [m]
     pillow: tuple[str, ...] = ()  # collision geoms that bear the girdle, if also the upper arm
-    outline: tuple[
-        str, ...
-    ] = ()  # further collision geoms that tools and robots may touch, but no limb
+    outline: tuple[str, ...] = ()  # further geoms that tools and robots may touch, but no limb
     props: tuple[Prop, ...] = ()  # what stands around it
 
 

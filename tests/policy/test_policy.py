@@ -89,6 +89,8 @@ def test_a_missing_policy_lists_what_is_there(tmp_path, policy, monkeypatch):
     assert load_policy(tmp_path.name, FakeEnv()).info["env"] == "FakeReach-v0"
     with pytest.raises(PolicyNotFoundError, match="holds runs, not a policy"):
         load_policy(tmp_path.name)
+    with pytest.raises(PolicyNotFoundError, match=r"holds runs, not a policy.*/FakeReach-v0\."):
+        load_policy(tmp_path, FakeEnv(name="OtherReach-v0"))
     text = r"No policy for 'FakeReech-v0'.*Did you mean 'FakeReach-v0'.*agym-jax train"
     with pytest.raises(PolicyNotFoundError, match=text):
         find_policy("FakeReech-v0", tmp_path)

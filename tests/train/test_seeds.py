@@ -126,6 +126,10 @@ def test_files_of_each_seed_and_a_run_resumed_whole(tmp_path):
     assert [json.loads(row)["num_seeds"] for row in combined] == [2, 2, 2]
     with pytest.raises(CheckpointMismatchError, match="num_seeds"):
         ppo.train(FakeEnv(), dataclasses.replace(config, num_seeds=3, num_env_steps=9_600))
+    with pytest.raises(
+        CheckpointMismatchError, match=r"seeds or settings are \['seed_.', 'seed_.'\]"
+    ):
+        ppo.train(FakeEnv(), dataclasses.replace(config, seed=5, num_env_steps=9_600))
     with pytest.raises(CheckpointMismatchError, match="num_seeds is 2, this run has 1"):
         ppo.train(FakeEnv(), dataclasses.replace(config, num_seeds=1, num_env_steps=9_600))
 

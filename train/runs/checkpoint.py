@@ -144,7 +144,7 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
         if name not in ("changes", "lanes") and theirs.get(name) != value
     ]
     if not differ and theirs.get("lanes") != (lanes := compatibility.get("lanes")):
-        differ.append(f"its trainings are {theirs.get('lanes')}, those of this run {lanes}")
+        differ.append(f"its seeds or settings are {theirs.get('lanes')}, those of this run {lanes}")
     if changed := describe(theirs["changes"], compatibility.get("changes", {}), "in the run"):
         differ.append(changed)
     if differ:

@@ -54,8 +54,8 @@ CHANGES: dict[str, tuple[tuple[str, ...], str]] = {
         "PR2's base is one that was chosen for a mouth where the person's is, as in Assistive Gym",
     ),
     "2026-11-27T07:25": (
-        ("BedBathing", "ArmManipulation"),
-        "tools and robots meet the pillow beside the person, as in Assistive Gym",
+        ("BedBathing",),
+        "the wiper and robots meet the pillow beside the person, as in Assistive Gym",
     ),
 }  # fmt: skip
 """Changes of the physics that made earlier figures wrong: when (UTC, as in results) -> what the ids begin with, and what changed. Tables

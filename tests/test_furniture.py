@@ -27,6 +27,7 @@ SPECS = {task.tool.name: task.tool for task in TASKS.values() if task.tool}
 VISUALS, SOLIDS = 2, 3
 ARMS_ALONE = 4  # group of what people's arms alone meet
 FRONTS = {x for robot in ROBOTS.values() for names in robot.mount_fronts.values() for x in names}
+OUTLINES = set(TASKS["BedBathing"].seat.outline)
 # section 3: heights z(x, y) of the bed
 BED_Y = (-0.9, -0.7, -0.5, -0.3, -0.1, 0.1, 0.3, 0.5, 0.6, 0.7)
 BED_Z = {
@@ -115,7 +116,7 @@ def test_nothing_collides_by_default(path: str, capfd: pytest.CaptureFixture):
     assert not model.geom_contype.any() and not model.geom_conaffinity.any()
     for i, name in enumerate(geom_names(model)):
         group = SOLIDS if name.endswith("_collision") else VISUALS
-        assert model.geom_group[i] == (ARMS_ALONE if name in FRONTS else group), name
+        assert model.geom_group[i] == (ARMS_ALONE if name in FRONTS | OUTLINES else group), name
 
 
 @pytest.mark.parametrize("path", FILES)

@@ -139,7 +139,9 @@ class BedBathing:
     goals: tuple[tuple[str, ...], ...] = (RIGHT_ARM_LINKS,)
     tool: ToolSpec = WIPER
     # AG bed_bathing.py reset; limb_rolling: deviation bed-contact
-    seat: SeatSpec = replace(BED, friction=5.0, rolling=5.0, limb_rolling=0.15)
+    seat: SeatSpec = replace(
+        BED, friction=5.0, rolling=5.0, limb_rolling=0.15, outline=("pillow_side_outline", "pillow_slope_outline")
+    )  # fmt: skip
     human: HumanSpec = HumanSpec(
         joints=RIGHT_ARM,
         pose={},

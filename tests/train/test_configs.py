@@ -29,7 +29,7 @@ def test_counts_may_be_written_as_people_do(text, number):
 
 @pytest.mark.parametrize("text", ["1.5", "-3", "ten", "nan", "inf"])
 def test_other_counts_are_refused(text):
-    with pytest.raises(ValueError, match="1e7"):
+    with pytest.raises(ValueError, match="2e4"):
         parse_count(text)
 
 

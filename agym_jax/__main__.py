@@ -176,17 +176,18 @@ def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax o
     if recipe is None:
         return 2
     from agym_jax import observe
+    from agym_jax.policy.contract import acting_joints, action_meaning
 
     task = recipe.task
-    arms = recipe.robot.arms_for(task)
-    agents = {"Robot": (task.robot_obs, tuple(name for arm in arms for name in arm.joints))}
+    records = {"robot": task.robot_obs}
     if recipe.active:
-        agents["Human"] = (task.human_obs, task.human.moving(True))
-    for title, (record, joints) in agents.items():
-        print(f"{title}: {observe.size(record)} columns\n\n{observe.table(record)}\n")
+        records["human"] = task.human_obs
+    for agent, record in records.items():
+        joints = acting_joints(recipe.robot, task, agent)
+        print(f"{agent.title()}: {observe.size(record)} columns\n\n{observe.table(record)}\n")
         print(
-            f"{title}: {len(joints)} actions, clipped to [-1, 1], for {', '.join(joints)}. In each control step, the target of a "
-            f"joint is its angle at the start of the step plus {task.control.action_scale:g} rad times its action, within its limits.\n"
+            f"{agent.title()}: {len(joints)} actions, clipped to [-1, 1], of {', '.join(joints)}. "
+            f"{action_meaning(task, agent)}\n"
         )
     return 0
 

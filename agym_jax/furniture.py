@@ -6,8 +6,8 @@ AG's mesh consists of 58 convex pieces with gaps between them; one of them, 29 m
 horizontal. Their walls hold a tool that presses on the edge. In ten recorded episodes of ArmManipulation with each robot, 67 (PR2), 82 (Baxter), 34 (Sawyer) and 18 % (Jaco) of the force between
 scooper and bed act more than 20 degrees away from the normal of our surface, which has no gaps (pieces, gap and forces were measured by programs outside the repository). PR2's last two policies help in 8 and 12 of 20 episodes in AG, and in 13 and 16 of the same 20 with these shapes in place of
 AG's mesh (``python benchmarks/in_assistive_gym.py --smooth-bed``).
-Pillows bear head and girdle, but not arms. In BedBathing, the wiper and robots meet the side and the slope of the pillow on the robot's side: two capsules, 5 mm from AG's surface (root mean square over x -0.555 to -0.30,
-y 0.20 to 0.45 m). Before 27 November 2026, 07:25 UTC, they met only the mattress there, 15 mm from AG's surface.
+Pillows bear head and girdle, but not arms. In BedBathing, the wiper and robots meet the side and the slope of the pillow on the robot's side: two capsules, which with the mattress are 4.5 mm from
+AG's surface there (root mean square of 325 points, x -0.55 to -0.30, y 0.20 to 0.44 m; ``benchmarks.parity.bed``); without them, 22 mm, as until 27 November 2026, 07:25 UTC.
 """
 
 from dataclasses import replace

@@ -86,7 +86,7 @@ def main(
     evaluator, key = Evaluator(env, config.num_episodes), jax.random.PRNGKey(config.seed)
     scores = []
     for run, policies in zip(config.runs, (first, second), strict=True):
-        print(f"{run}: {config.num_episodes} episodes of each seed", file=sys.stderr, flush=True)
+        say(f"{run}: {config.num_episodes} episodes of each seed")
         scores.append(score_seeds(evaluator, policies, key, report=say))
     for run, found in zip(config.runs, scores, strict=True):
         print(f"{run}\n{found.table()}")

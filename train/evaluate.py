@@ -97,10 +97,10 @@ def main(
     )  # first: it knows which ids there are
     files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
     policy = load_policies(files, env, config.any_env, other_people=True)
+    print(f"Policy: {', '.join(x for x in (files.robot, files.human) if x)}", flush=True)
     result = evaluate(
         env, policy, config.num_episodes, config.seed, deterministic=not config.non_det
     )
-    print(f"Policy: {', '.join(str(x) for x in (files.robot, files.human) if x)}")
     if otherwise := trained_otherwise(policy, env):
         print(f"Differs from training: {otherwise}.")
     print(result.table(config.by_group))

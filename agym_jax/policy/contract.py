@@ -12,6 +12,7 @@ import agym_jax
 from agym_jax import observe
 from agym_jax.human.body import joint_limits
 from agym_jax.policy.networks import OBSERVATION_CLIP
+from agym_jax.spec import RobotSpec, Task
 
 FORMAT = "agym_jax policy 1"
 CONVENTIONS = {
@@ -44,7 +45,7 @@ def contract(env: Any, agent: str, info: Mapping[str, Any]) -> dict[str, str]:
         "observation_use": "raw values; the graph subtracts means, divides by deviations and clips to "
         f"[-{OBSERVATION_CLIP:g}, {OBSERVATION_CLIP:g}]",
         "action": action_entries(env, agents),
-        "action_meaning": {name: _meaning(env, name) for name in agents},
+        "action_meaning": {name: action_meaning(env.task, name) for name in agents},
         "conventions": CONVENTIONS,
         "trained": {name: x for name, x in info.items() if name != "agent"},
         "agym_jax": agym_jax.__version__,
@@ -70,15 +71,11 @@ def action_entries(env: Any, agents: tuple[str, ...]) -> list[dict[str, Any]]:
     """Describe the action's entries, in order: joint, its limits [rad], and the displacement of a full action of 1 [rad]."""
     scale, found = env.task.control.action_scale, []
     for agent in agents:
+        names = acting_joints(env.robot, env.task, agent)
         if agent == "robot":
-            model = env.scene.model
-            names = [
-                model.joint(j).name.removeprefix("robot/") for j in env.scene.index.robot_joint
-            ]
             limits = env.controller.robot_range
         else:
-            names = list(env.scene.moving)
-            limits = joint_limits(env.scene.moving, np.float32(1.0), np)
+            limits = joint_limits(names, np.float32(1.0), np)
         found += [
             {
                 "joint": name, "agent": agent, "low": -1, "high": 1, "full_action_rad": scale,
@@ -89,17 +86,25 @@ def action_entries(env: Any, agents: tuple[str, ...]) -> list[dict[str, Any]]:
     return found
 
 
-def _meaning(env: Any, agent: str) -> str:
+def acting_joints(robot: RobotSpec, task: Task, agent: str) -> tuple[str, ...]:
+    """Return the joints that the entries of an agent's action move, in order; agent is "robot" or "human"."""
+    if agent == "robot":
+        return tuple(name for arm in robot.arms_for(task) for name in arm.joints)
+    return task.human.moving(True)
+
+
+def action_meaning(task: Task, agent: str) -> str:
     """Explain in words how an agent's action moves its joints."""
-    control = env.task.control
+    control = task.control
+    dt = control.time_step * control.frame_skip
     if agent == "robot":
         return (
-            f"For {env.dt:g} s each joint's motor moves it towards the angle measured at the start of the control step plus "
+            f"For {dt:g} s each joint's motor moves it towards the angle measured at the start of the control step plus "
             f"{control.action_scale:g} rad times the action (in steps of 0.05 rad times the action, none beyond the joint's "
             f"limits), at a velocity of {control.rate:g} /s times what is left, with at most {control.max_torque:g} N m."
         )
     return (
-        f"For {env.dt:g} s the muscles of each joint pull it towards the angle measured at the start of the control step (with "
+        f"For {dt:g} s the muscles of each joint pull it towards the angle measured at the start of the control step (with "
         f"tremor: the one held so far) plus {control.action_scale:g} rad times the action, within the joint's limits. Limits "
         "are those without an impairment, which narrows them."
     )

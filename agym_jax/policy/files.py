@@ -38,11 +38,8 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
     """
     text = str(source).removeprefix("agym_jax/")
     is_path = isinstance(source, Path) or "/" in text or "\\" in text or text.endswith(".npz")
-    name = None if env is None else env.name
-    if is_path:
-        files = _files_at(Path(source), name)
-    elif text not in shipped() and Path(text).is_dir():
-        files = _files_at(Path(text), name)
+    if is_path or (text not in shipped() and Path(source).is_dir()):
+        files = _files_at(Path(source), None if env is None else env.name)
     else:
         files = find_policies(text)
     robot = read_policy(files.robot)
@@ -61,15 +58,16 @@ def _files_at(path: Path, env_name: str | None) -> PolicyFiles:
     """Return the policies in a file, in the folder of a run, or in the ``--save-dir`` of an environment's run."""
     if not path.is_dir():
         return PolicyFiles(str(path), None)
-    given, path = path, path if env_name is None else run_folder(path, env_name)
-    if not run_file(path, "robot").is_file() and _seeds(path):
-        raise _unchosen(path)
-    if not run_file(path, "robot").is_file() and (runs := sorted(given.glob("*/policy.npz"))):
-        raise PolicyNotFoundError(
-            f"{str(given)!r} holds runs, not a policy. Name one of them: {', '.join(str(run.parent) for run in runs)}."
-        )
-    human = run_file(path, "human")
-    return PolicyFiles(str(run_file(path, "robot")), str(human) if human.is_file() else None)
+    run = path if env_name is None else run_folder(path, env_name)
+    robot, human = run_file(run, "robot"), run_file(run, "human")
+    if not robot.is_file():
+        if _seeds(run):
+            raise _unchosen(run)
+        if others := sorted(str(file.parent) for file in path.glob(f"*/{robot.name}")):
+            raise PolicyNotFoundError(
+                f"{str(path)!r} holds runs, not a policy. Name one of them: {', '.join(others)}."
+            )
+    return PolicyFiles(str(robot), str(human) if human.is_file() else None)
 
 
 def run_file(folder: Path, agent: str) -> Path:

@@ -70,6 +70,7 @@ def contact_pairs(
     tool only the arm that is helped. The outline of a tool that has one takes the place of its working part but for that arm.
     Furniture, the robot's trunk and its mount meet the tool's working part and the hand. Bed and mount also meet the robot's
     wrist and forearm, the trunk what ``RobotSpec.near_trunk`` names, and the mount a person's arm that hangs over the bed's side.
+    What meets the furniture of tools and robots also meets ``SeatSpec.outline``, limbs do not.
     What no joint moves, of trunk and person, makes no pairs: between two such geoms the solver has no finite force.
 
     Args:

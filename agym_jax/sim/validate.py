@@ -139,7 +139,8 @@ def check_seat(spec: mujoco.MjSpec, seat: SeatSpec) -> None:
     Raises:
         SpecError: the file lacks one of them.
     """
-    _check_text(f"The seat {seat.name}'s geoms", seat.geoms)
+    for field in ("geoms", "pillow", "outline"):
+        _check_text(f"The seat {seat.name}'s {field}", getattr(seat, field))
     _check_there(
         f"The seat {seat.name}'s file {seat.model}", "geom", (*seat.geoms, *seat.pillow, *seat.outline),
         _named(spec.geoms),

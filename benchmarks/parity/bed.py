@@ -1,7 +1,8 @@
 """The bed and who lies on it.
 
 Points of Assistive Gym's mattress, recorded by rays, against the nearest surface of the two shapes that arms, tools and
-hands meet, where those go; the pillow's slope is what bears the girdle. People are those of the banks of postures,
+hands meet, where those go; the pillow's slope is what bears the girdle. Beside the person, where robots lean on the bed, are also
+points of the pillow's side, against what robots and the wiper meet in BedBathing. People are those of the banks of postures,
 of Assistive Gym's sizes: men and women with full joint limits against all that were recorded (20 resets, every
 impairment). Widths are standard deviations.
 """
@@ -16,6 +17,7 @@ import numpy as np
 from agym_jax.data.assets import asset_path
 from agym_jax.furniture import BED
 from agym_jax.human.posture import link_positions, load_postures
+from agym_jax.tasks import TASKS
 from benchmarks.parity.row import Row, traces
 
 MARGIN = 0.001  # AG's shapes keep this distance from each other, and so do ours from its mesh [m]
@@ -63,11 +65,13 @@ def rows() -> list[Row]:
     """The surface, then people in both tasks."""
     top, side = surface("top", BED.geoms), surface("side", BED.geoms)
     pillow = surface("pillow", BED.pillow)
+    beside = surface("beside", (*BED.geoms, *TASKS["BedBathing"].seat.outline))
     found = [
         Row("mattress, 95 % of the points within", "m", 0.0, float(np.percentile(abs(top), 95)), 0.005, "bed-shape"),
         Row("mattress, root mean square", "m", 0.0, float(np.sqrt(np.mean(top**2))), 0.005, "bed-shape"),
         Row("side of the mattress, root mean square", "m", 0.0, float(np.sqrt(np.mean(side**2))), 0.01, "bed-shape"),
         Row("pillow's slope, root mean square", "m", 0.0, float(np.sqrt(np.mean(pillow**2))), 0.005, "bed-shape"),
+        Row("pillow and mattress beside the person, root mean square", "m", 0.0, float(np.sqrt(np.mean(beside**2))), 0.005, "bed-shape"),
     ]  # fmt: skip
     for task in ("BedBathing", "ArmManipulation"):
         for sex, who in enumerate(("men", "women")):

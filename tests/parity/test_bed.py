@@ -27,6 +27,12 @@ def test_mattress_is_within_5_mm_where_arms_and_tools_go(rows):
     assert rows["pillow's slope, root mean square"].holds
 
 
+def test_robots_meet_the_pillow_within_5_mm(rows):
+    assert rows["pillow and mattress beside the person, root mean square"].holds
+    without = bed.surface("beside", BED.geoms)
+    assert np.sqrt(np.mean(without**2)) == pytest.approx(0.022, abs=0.001), "what the outlines mend"
+
+
 @pytest.mark.parametrize("task", ["BedBathing", "ArmManipulation"])
 @pytest.mark.parametrize("who", ["men", "women"])
 def test_chest_and_head_are_as_high_as_ags(rows, task: str, who: str):

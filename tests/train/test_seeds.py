@@ -124,13 +124,18 @@ def test_files_of_each_seed_and_a_run_resumed_whole(tmp_path):
         np.testing.assert_array_equal(weights({"robot": policy}), weights(found.policies))
     combined = (folder / "curve.jsonl").read_text().splitlines()
     assert [json.loads(row)["num_seeds"] for row in combined] == [2, 2, 2]
-    with pytest.raises(CheckpointMismatchError, match="num_seeds"):
+    with pytest.raises(
+        CheckpointMismatchError,
+        match=r"it is of 2 trainings \(seed_3, seed_4\), this run of 3 trainings",
+    ):
         ppo.train(FakeEnv(), dataclasses.replace(config, num_seeds=3, num_env_steps=9_600))
     with pytest.raises(
-        CheckpointMismatchError, match=r"seeds or settings are \['seed_.', 'seed_.'\]"
+        CheckpointMismatchError, match=r"2 trainings \(seed_3, seed_4\), this run of 2 .*seed_5"
     ):
         ppo.train(FakeEnv(), dataclasses.replace(config, seed=5, num_env_steps=9_600))
-    with pytest.raises(CheckpointMismatchError, match="num_seeds is 2, this run has 1"):
+    with pytest.raises(
+        CheckpointMismatchError, match=r"of 2 trainings \(.*\), this run of 1 training\."
+    ):
         ppo.train(FakeEnv(), dataclasses.replace(config, num_seeds=1, num_env_steps=9_600))
 
 

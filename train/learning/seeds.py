@@ -132,7 +132,7 @@ class SideBySide:
     def compatibility(self) -> dict[str, Any]:
         """As ``Agents.compatibility``."""
         names = [lane.name for lane in self.lanes]
-        return {**self.single.compatibility(), "num_seeds": self.count, "lanes": names}
+        return {**self.single.compatibility(), "lanes": names}
 
 
 def keep_learner(learner: LearnerState, kept: LearnerState, index: int) -> LearnerState:

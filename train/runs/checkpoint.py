@@ -9,7 +9,7 @@ environments are not saved: a resumed run begins with fresh episodes.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -130,7 +130,7 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
         raise CheckpointMismatchError(
             f"{path} has checkpoint format {meta.get('format')}, this version reads {FORMAT}. {advice}"
         )
-    theirs: dict[str, Any] = {"changes": {}, "num_seeds": 1, **meta["compatibility"]}
+    theirs: dict[str, Any] = {"changes": {}, **meta["compatibility"]}
     trainer = compatibility.get("trainer", theirs.get("trainer"))
     if theirs.get("trainer") != trainer:
         raise CheckpointMismatchError(
@@ -140,11 +140,12 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
         )
     differ = [
         f"{name} is {theirs.get(name)!r}, this run has {value!r}"
-        for name, value in {"num_seeds": 1, **compatibility}.items()
+        for name, value in compatibility.items()
         if name not in ("changes", "lanes") and theirs.get(name) != value
     ]
-    if not differ and theirs.get("lanes") != (lanes := compatibility.get("lanes")):
-        differ.append(f"its seeds or settings are {theirs.get('lanes')}, those of this run {lanes}")
+    if theirs.get("lanes") != compatibility.get("lanes"):
+        trained, here = (_trainings(x.get("lanes")) for x in (theirs, compatibility))
+        differ.append(f"it is of {trained}, this run of {here}")
     if changed := describe(theirs["changes"], compatibility.get("changes", {}), "in the run"):
         differ.append(changed)
     if differ:
@@ -153,6 +154,11 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
         return Checkpoint(path, arrays_to_tree(arrays, template), meta)
     except CheckpointMismatchError as error:
         raise CheckpointMismatchError(f"{path} does not fit: {error}. {advice}") from None
+
+
+def _trainings(lanes: Sequence[str] | None) -> str:
+    """Say how many trainings go on side by side, and which; None is one."""
+    return "1 training" if lanes is None else f"{len(lanes)} trainings ({', '.join(lanes)})"
 
 
 def load_newest(folder: Path, template: Any, compatibility: Mapping[str, Any]) -> Checkpoint | None:

@@ -111,14 +111,15 @@ def summary(result: TrainResult) -> str:
     ended = result.last_row("return")  # the last one in which episodes ended
     older = ended and ended["env_steps"] < result.env_steps
     at = f" (at step {ended['env_steps']:,})" if older else ""
-    measured = (
-        f"return {shown('return', '.1f')}, success {shown('success', '.0%')}{spread}{gentle}, force "
-        f"{shown('force', '.2f')} N{at}"
-    )
-    if ended is None:
-        measured = "too few for an episode that began in this run to end"
+    measured = "too few for an episode that began in this run to end"
+    if ended:
+        measured = (
+            f"return {shown('return', '.1f')}, success {shown('success', '.0%')}{spread}{gentle}, force "
+            f"{shown('force', '.2f')} N{at}"
+        )
     text = (
-        f"{config.env_name}: {word} {result.env_steps:,} steps{seeds}, {measured}{nan}. Compiled in {duration(result.compile_seconds)}, trained {result.session_steps:,} steps "
+        f"{config.env_name}: {word} {result.env_steps:,} steps{seeds}, {measured}{nan}. Compiled in "
+        f"{duration(result.compile_seconds)}, trained {result.session_steps:,} steps "
         f"in {duration(result.train_seconds)} ({result.steps_per_second:,.0f} steps/s)."
     )
     for seed in result.seeds:

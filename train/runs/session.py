@@ -322,9 +322,8 @@ def command_line(
     """
     words = command_words(arguments)
     try:
-        if {"-h", "--help"} & {*words}:  # it shows the defaults of this machine
-            parse_arguments(words, kind, prog, jax.default_backend())
-        config = parse_arguments(words, kind, prog)
+        helps = {"-h", "--help"} & {*words}  # it shows the defaults of this machine
+        config = parse_arguments(words, kind, prog, jax.default_backend() if helps else "gpu")
         signal.signal(signal.SIGTERM, _on_terminate)
         if make is make_env:
             parse(config.env_name)  # a name that does not exist leaves nothing in the folder

@@ -21,7 +21,7 @@ arm that rests on the bed can hardly be lifted if that is long: with full action
 AG, here by 0.09 with AG's 2.5 m, by 1.09 with 0.28 m and by 1.35 with 0.15 m. Hence the person's arm has 0.15 m in BedBathing, robots and tools 2.5 m. Upper arm and forearm then turn about
 their lengths more freely than in AG, by 1.23 instead of 0.67 rad (all joints 0.62 and 0.43; 24 people each). What was tried is in docs/transfer.md.
 A robot's arm that comes to rest on the bed is held less, too: from states of 12 episodes of BedBathingSawyer in AG in which it lies on the bed, recorded actions turn the joint that turns farthest by 0.13 rad within
-0.5 s, in AG by 0.02 (107 states; without the pillow 0.27).
+0.5 s, in AG by 0.02 (107 states; without the pillow 0.28; ``benchmarks/results/played_on.jsonl``).
 """
 
 from __future__ import annotations

@@ -128,11 +128,25 @@ def by_contact(
         **{k: touches[:, c] & alone for c, k in enumerate(kinds)},
     }
     groups |= {"several": touches.sum(1) > 1}
-    farthest = [np.abs(x).max(-1) for x in (here - there, there, here)]
+    moved = {"off": here - there, "turned there": there, "turned here": here}
+    farthest = {name: np.abs(x).max(-1) for name, x in moved.items()}
     return {
-        kind: [int(mine.sum()), *(round(float(np.median(x[mine])), 4) for x in farthest)]
+        kind: {
+            "states": int(mine.sum()),
+            **{name: round(float(np.median(x[mine])), 4) for name, x in farthest.items()},
+        }
         for kind, mine in groups.items()
         if mine.any()
+    }
+
+
+def touching(states: dict[str, np.ndarray]) -> dict[str, dict[str, list[int]]]:
+    """Control steps of each episode there in which something touches, by what and by how the episode ended."""
+    ends = {"successes": states["success"], "failures": ~states["success"]}
+    count = (states["force"][:, 1:] > TOUCHES).sum(1)
+    return {
+        str(kind): {end: count[mine, c].tolist() for end, mine in ends.items()}
+        for c, kind in enumerate(states["kinds"])
     }
 
 
@@ -142,15 +156,22 @@ def measure(config: PlayedOnConfig) -> dict[str, Any]:
     robot = RobotVariation(strength=(config.strength, config.strength))
     env = agym_jax.make(config.env_name, impl="native", humans=Population(masses=config.masses), robot=robot)  # fmt: skip
     begin(env, states, 0)  # before long work
-    found = {"episodes": len(states["seed"]), "there": int(states["success"].sum())}
+    found: dict[str, Any] = {
+        "episodes": len(states["seed"]),
+        "seeds": states["seed"].tolist(),
+        "there": int(states["success"].sum()),
+    }
     if config.policy:
         policy = agym_jax.load_policy(config.policy)
+        found["policy_commit"] = policy.info["commit"]
         here = [succeeds(env, begin(env, states, i), policy) for i in range(found["episodes"])]
         found |= {"here": sum(here), "both": int((np.array(here) & states["success"]).sum())}
-    table = by_contact(*played(env, states, config), states["kinds"].tolist())
-    titles = {f"{k}: n, off, turned there, here": v for k, v in table.items()}
+    found["joint that turned farthest, rad"] = by_contact(
+        *played(env, states, config), states["kinds"].tolist()
+    )
+    found["steps that touch there"] = touching(states)
     settings = {"env": config.env_name, "masses": config.masses, "strength": config.strength, "steps": config.steps}  # fmt: skip
-    return settings | found | titles
+    return settings | found
 
 
 def succeeds(env: agym_jax.Env, state: State, policy: Any) -> bool:

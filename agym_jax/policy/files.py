@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from os.path import isdir  # of "" it says no
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +39,7 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
     """
     text = str(source).removeprefix("agym_jax/")
     is_path = isinstance(source, Path) or "/" in text or "\\" in text or text.endswith(".npz")
-    if is_path or (
-        isinstance(source, str) and source and text not in shipped() and Path(source).is_dir()
-    ):
+    if is_path or (text not in shipped() and isdir(str(source))):
         files = _files_at(Path(source), None if env is None else env.name)
     else:
         files = find_policies(text)

@@ -17,7 +17,7 @@ import pytest
 import agym_jax
 from agym_jax.errors import ArgumentError
 from benchmarks import played_on
-from benchmarks.played_on import PlayedOnConfig, begin, by_contact, played
+from benchmarks.played_on import PlayedOnConfig, begin, by_contact, played, touching
 
 NAME, STEPS = "BedBathingSawyer-v0", 12
 
@@ -81,8 +81,18 @@ def test_states_are_told_apart_by_what_touches_what():
     found = by_contact(
         here, there, forces, ["tool on seat", "robot on seat", "tool on person", "robot on person"]
     )
-    assert found == {
-        "nothing": [1, 0.2, 0.0, 0.2], "robot on seat": [2, 0.4, 0.0, 0.4], "several": [1, 0.4, 0.0, 0.4],
+    assert {kind: tuple(x.values()) for kind, x in found.items()} == {
+        "nothing": (1, 0.2, 0.0, 0.2), "robot on seat": (2, 0.4, 0.0, 0.4), "several": (1, 0.4, 0.0, 0.4),
+    }  # fmt: skip
+    assert list(found["nothing"]) == ["states", "off", "turned there", "turned here"]
+
+
+def test_steps_that_touch_are_counted_by_how_the_episode_ended():
+    force = np.zeros((3, 4, 2))
+    force[0, 1:, 1], force[1, 2, 1], force[:, 0, 0] = 1.0, 0.5, 9.0  # the start is no step
+    states = {"force": force, "kinds": np.array(["a", "b"]), "success": np.array([False, True, True])}  # fmt: skip
+    assert touching(states) == {
+        "a": {"successes": [0, 0], "failures": [0]}, "b": {"successes": [1, 0], "failures": [3]},
     }  # fmt: skip
 
 
@@ -93,7 +103,7 @@ def test_the_command_plays_a_file(states, tmp_path, capsys):
     flags = ["--masses", "body", "--steps", "3"]
     assert played_on.main([NAME, str(tmp_path / "states.npz"), *flags]) == 0
     said = capsys.readouterr().out
-    assert "episodes                 1" in said and "robot on seat: n, off" in said
+    assert "episodes                 1" in said and "joint that turned farthest, rad" in said
 
 
 def test_a_file_that_is_missing_is_named_with_what_records_it(tmp_path, capsys):

@@ -60,14 +60,12 @@ def _files_at(path: Path, env_name: str | None) -> PolicyFiles:
     if not path.is_dir():
         return PolicyFiles(str(path), None)
     run = path if env_name is None else run_folder(path, env_name)
-    robot, human = run_file(run, "robot"), run_file(run, "human")
-    if not robot.is_file():
-        if _seeds(run):
-            raise _unchosen(run)
-        if others := sorted(str(file.parent) for file in path.glob(f"*/{robot.name}")):
-            raise PolicyNotFoundError(
-                f"{str(path)!r} holds runs, not a policy. Name one of them: {', '.join(others)}."
-            )
+    robot, human = _chosen_file(run), run_file(run, "human")
+    others = sorted(str(file.parent) for file in path.glob(f"*/{robot.name}"))
+    if others and not robot.is_file():
+        raise PolicyNotFoundError(
+            f"{str(path)!r} holds runs, not a policy. Name one of them: {', '.join(others)}."
+        )
     return PolicyFiles(str(robot), str(human) if human.is_file() else None)
 
 
@@ -91,13 +89,19 @@ def _seeds(run: Path) -> list[Path]:
     return sorted(run.glob(f"seed_*/{FILE_NAMES['robot']}"))
 
 
-def _unchosen(run: Path) -> PolicyNotFoundError:
-    """Make an error that says how to choose one of a run's seeds."""
-    seeds = _seeds(run)
-    return PolicyNotFoundError(
-        f"{str(run)!r} is a run with {len(seeds)} seeds, of which none has been chosen yet. Choose one: agym-jax select "
-        f"{run}; or use one of them: --policy {seeds[0]}."
-    )
+def _chosen_file(run: Path) -> Path:
+    """Return the file of the robot's policy in the folder of a run; it may not exist.
+
+    Raises:
+        PolicyNotFoundError: if the run had several seeds and none has been chosen; the message says how to choose one.
+    """
+    path, seeds = run_file(run, "robot"), _seeds(run)
+    if seeds and not path.is_file():
+        raise PolicyNotFoundError(
+            f"{str(run)!r} is a run with {len(seeds)} seeds, of which none has been chosen yet. Choose one: agym-jax select "
+            f"{run}; or use one of them: --policy {seeds[0]}."
+        )
+    return path
 
 
 def find_policy(
@@ -123,10 +127,8 @@ def find_policy(
         return Path(policy)
     if load_dir is not None:
         run = run_folder(load_dir, env_name)
-        path = run_file(run, "robot")
+        path = _chosen_file(run)
         if not path.is_file():
-            if _seeds(run):
-                raise _unchosen(run)
             there = [p.parent.name for p in run.parent.glob(f"*/{path.name}")]
             raise PolicyNotFoundError(
                 f"No policy for {env_name!r} in {str(load_dir)!r} (looked for {path}). "

@@ -29,7 +29,7 @@ from .runs.overview import markdown, selection_of, training_summary
 from .runs.plots import plot_runs
 from .runs.progress import duration
 from .suites.children import own_program, visible_gpus
-from .suites.plan import SuiteConfig, named, steps_of
+from .suites.plan import SuiteConfig, check_entries, named
 from .suites.runner import Outcome, Runner
 from .suites.whole import Whole
 
@@ -72,8 +72,7 @@ def main(
     try:
         config = tyro.cli(SuiteConfig, prog=prog, args=arguments, description=plain(__doc__))
         ids = named(config.only, list_envs())
-        for name in ids:
-            steps_of(config.steps, name)
+        check_entries(config, list_envs())
         gpus = visible_gpus(config.gpus)
         check_writable(Path(config.save_dir))
     except AgymError as error:

@@ -22,7 +22,7 @@ from train.runs.overview import read_rows, wall_seconds
 from train.suite import describe, main
 from train.suites import children
 from train.suites import runner as runners
-from train.suites.plan import SuiteConfig, named, steps_of
+from train.suites.plan import SuiteConfig, check_entries, flags_for, named, steps_of
 from train.suites.runner import Runner
 from train.suites.whole import Whole
 
@@ -110,6 +110,28 @@ def test_names_and_steps():
     assert steps_of(steps, "ReachingJaco-v0") == []
     with pytest.raises(ConfigError, match="NAME=STEPS"):
         steps_of(["Dressing"], "DressingJaco-v0")
+
+
+def test_flags_of_some_environments(tmp_path, program):
+    flags_of = ("Reaching=--lr 1e-4", "ReachingPR2=--lr 2e-4 --humans.sizes both")
+    config = SuiteConfig(
+        num_seeds=2, save_dir=str(tmp_path), flags="--impl jax", flags_of=flags_of, clips=False,
+        default_settings=True,
+    )  # fmt: skip
+    assert flags_for(config, "FeedingPR2-v0") == ["--impl", "jax"]
+    more = ["--impl", "jax", "--lr", "2e-4", "--humans.sizes", "both"]
+    assert flags_for(config, "ReachingPR2-v0") == more
+    (outcome,) = Runner(config, program).all(["ReachingJaco-v0"])
+    train, select = (words for words, _ in calls(tmp_path))
+    assert outcome.line and train[-4:] == ["--impl", "jax", "--lr", "1e-4"]
+    assert "--default-settings" in select and "--default-settings" not in train
+    check_entries(config, list_envs())
+    typo = dataclasses.replace(config, flags_of=("Reachng=--lr 1",), save_dir=str(tmp_path / "no"))
+    with pytest.raises(UnknownNameError, match="Reaching"):
+        check_entries(typo, list_envs())
+    for wrong, why in (("Reaching", "NAME=FLAGS"), ("Reaching=--lr '1", "quotation")):
+        with pytest.raises(ConfigError, match=why):
+            check_entries(dataclasses.replace(config, flags_of=(wrong,)), ["ReachingJaco-v0"])
 
 
 def test_a_wrong_name_is_refused_before_anything_starts(tmp_path, capsys):

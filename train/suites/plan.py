@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -31,9 +32,15 @@ class SuiteConfig:
     gpus: Count = 0
     """Number of GPUs to use, with each training on a single GPU; 0 = all available."""
     steps: tuple[str, ...] = ()
-    """Environment steps per seed, to override the trainer's default: NAME=STEPS, such as Dressing=6e6."""
+    """Environment steps per seed, to override the trainer's default: NAME=STEPS, such as Dressing=6e6. If several NAMEs fit
+    an id, the longest counts."""
     flags: str = ""
     """Further flags for train and coop: --flags="--num-envs 2048 --lr 1e-3"."""
+    flags_of: tuple[str, ...] = ()
+    """Further flags for the environments whose ids begin with NAME: NAME=FLAGS, such as Dressing="--task.settled-gown 0.5". If
+    several NAMEs fit an id, the longest counts."""
+    default_settings: bool = False
+    """Choose and evaluate in the environments with their default settings, even if flags change those of the training."""
     shipped: bool = True
     """Also evaluate the policies that ship with agym_jax, on the people used for the report."""
     clips: bool = True
@@ -70,11 +77,52 @@ def steps_of(steps: Sequence[str], env_name: str) -> list[str]:
     Raises:
         ConfigError: if an entry is not of the form NAME=STEPS.
     """
+    count = _longest(steps, env_name, "--steps takes NAME=STEPS, such as Dressing=6e6")
+    return ["--num-env-steps", count] if count else []
+
+
+def flags_for(config: SuiteConfig, env_name: str) -> list[str]:
+    """Return the further flags of an environment: those of all, then those of the longest NAME with which its id begins.
+
+    Raises:
+        ConfigError: if an entry of ``flags_of`` is not of the form NAME=FLAGS, or the quotes of one are not closed.
+    """
+    needed = 'NAME=FLAGS, such as Dressing="--task.settled-gown 0.5"'
+    own = _longest(config.flags_of, env_name, f"--flags-of takes {needed}")
+    try:
+        return shlex.split(config.flags) + shlex.split(own)
+    except ValueError as error:
+        raise ConfigError(
+            f"Flags for {env_name} cannot be read ({error}): {config.flags} {own}"
+        ) from None
+
+
+def check_entries(config: SuiteConfig, ids: Sequence[str]) -> None:
+    """Reject entries that cannot be read, or whose NAME begins no id, before anything is built.
+
+    Args:
+        config: flags.
+        ids: all ids, also those that are not trained.
+
+    Raises:
+        ConfigError: if an entry is not of its form.
+        UnknownNameError: if no id begins with the NAME of an entry.
+    """
+    for name in ids:
+        steps_of(config.steps, name)
+        flags_for(config, name)
+    for entry in (*config.steps, *config.flags_of):
+        start = entry.partition("=")[0]
+        if not any(name.startswith(start) for name in ids):
+            raise UnknownNameError("environment", start, ids)
+
+
+def _longest(entries: Sequence[str], env_name: str, needed: str) -> str:
     found = ("", "")
-    for entry in steps:
-        name, equals, count = entry.partition("=")
-        if not (name and equals and count):
-            raise ConfigError(f"--steps takes NAME=STEPS, such as Dressing=6e6, got {entry!r}.")
+    for entry in entries:
+        name, equals, value = entry.partition("=")
+        if not (name and equals and value):
+            raise ConfigError(f"{needed}; got {entry!r}.")
         if env_name.startswith(name) and len(name) > len(found[0]):
-            found = (name, count)
-    return ["--num-env-steps", found[1]] if found[1] else []
+            found = (name, value)
+    return found[1]

@@ -17,7 +17,7 @@ from agym_jax.registry import parse
 
 from ..runs.overview import JOURNAL, read_rows, selection_of
 from .children import Children, claim, own_program
-from .plan import SuiteConfig, steps_of
+from .plan import SuiteConfig, flags_for, steps_of
 
 FILM = "clip.gif"
 PATIENCE = 60.0  # seconds for a training of an earlier session to save its state and end
@@ -110,11 +110,12 @@ class Runner:
         train = [
             "coop" if parse(env_name).active else "train", "--env-name", env_name,
             "--num-seeds", str(c.num_seeds), "--save-dir", c.save_dir,
-            *steps_of(c.steps, env_name), *c.flags.split(),
+            *steps_of(c.steps, env_name), *flags_for(c, env_name),
         ]  # fmt: skip
         result = str(run / "selection.jsonl")
         select = ["select", str(run), "--num-episodes", str(c.num_episodes), "--json", result]
         select += [] if c.shipped else ["--no-shipped"]
+        select += ["--default-settings"] if c.default_settings else []
         environment = {"CUDA_VISIBLE_DEVICES": gpu} if gpu else {}
         if self.width > 1:
             preallocate = os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE", "false")

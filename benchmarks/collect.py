@@ -6,7 +6,7 @@ over other people are kept. The chosen policy replaces the one that ships where 
 larger and at most 5 of 100 successes are lost, over the same people in
 the same physics if ``select`` measured both; where none ships, from ``--least`` on. Choice and limit of runs under a cost limit are in ``results/gentle.jsonl``.
 Of runs that began with a policy (``--robot-policy``; of pairs, ``--human-policy`` too), the choice is in ``results/continued.jsonl``. What training both
-of these were is in ``results/continued_training.jsonl``. Then the tables and the picture of the curves are made anew.
+of these were is in ``results/continued_training.jsonl``. With ``--suite``, all runs are kept in ``results/suite.jsonl``, as those of one command. Then the tables and the picture of the curves are made anew.
 Collecting the same runs again changes nothing.
 """
 
@@ -31,7 +31,7 @@ from agym_jax.registry import parse
 from benchmarks import seed_curves, tables
 from benchmarks.markdown import RESULTS, Line, is_earlier
 from benchmarks.shipped import recorded
-from train.runs.overview import read_rows, selection_of, training_summary
+from train.runs.overview import JOURNAL, read_rows, selection_of, training_summary
 
 POLICIES = RESULTS.parent.parent / "assets" / "policies"
 FOR_GENTLENESS = 0.05
@@ -63,6 +63,8 @@ class CollectConfig:
     """Ids whose chosen policy ships although the one that ships is better. The documentation has to say why."""
     keep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID ...")] = ()
     """Ids whose policy stays although the chosen one is better. The documentation has to say why."""
+    suite: bool = False
+    """Keep the runs as those of one suite, with the time of the whole; the rows of the results over seeds stay as they are."""
     dry: bool = False
     """Say what would be done, and change nothing."""
 
@@ -197,6 +199,24 @@ def reported(choice: Line) -> Line:
     return kept | {name: choice[name] for name in ("env", "episodes", "nan_episodes", "overflow")}
 
 
+def whole_suite(folder: Path) -> Line:
+    """How long a suite took, from its first training to its last choice [s], and on how many GPUs.
+
+    Raises:
+        CollectError: there is no journal, or not all that it names has ended.
+    """
+    rows = read_rows(folder / JOURNAL)
+    began = [row for row in rows if "began" in row]
+    ended = [row for row in rows if row.get("status") == 0]
+    if not began or len(began) != len(ended):
+        raise CollectError(
+            f"{folder / JOURNAL} tells of {len(began)} commands that began and of {len(ended)} that ended well; --suite is for a "
+            f"suite that went through at once."
+        )
+    seconds = max(row["ended"] for row in ended) - min(row["began"] for row in began)
+    return {"suite_seconds": round(seconds), "suite_gpus": len({row["gpu"] for row in began})}
+
+
 def decide(found: Found, least: float, replaced: bool = False) -> tuple[bool, str]:
     """Whether the chosen policy is to ship, and why; ``replaced`` as for ``collect``."""
     name, ours = found.run.name, reported(found.choice)
@@ -264,7 +284,11 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
         ships, why = False, f"--keep; {why}"
     if not config.dry:
         about = {name: found.training[name] for name in ABOUT}
-        if found.gentle or found.continued:
+        if config.suite:
+            training = {name: x for name, x in found.training.items() if name != "curve"}
+            whole = {"training": training, **whole_suite(found.run.parent)}
+            put("suite", {**choice, **whole}, ("env", "time"))
+        elif found.gentle or found.continued:
             put("gentle" if found.gentle else "continued", {**choice, **about}, ("env", "time"))
             put("continued_training", found.training, ("env", "time"))
         else:

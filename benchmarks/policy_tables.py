@@ -172,7 +172,7 @@ def gentle(folder: Path = RESULTS) -> str:
         "largest multiplier": lambda x: f"{x.get('cost_multiplier_max', 2.0):g}",
         "margin": lambda x: f"{x.get('cost_margin') or 0:g}",
         "people": lambda x: x.get("trained_with", {}).get("humans.sizes", "ag"),
-        "begins with": lambda x: "the policy before" if x.get("started_from") else "a new policy",
+        "begins with": lambda x: _begun(x.get("started_from")),
         "seeds x steps": _seeds_and_steps,
         "gentle success of each seed [%]": lambda x: _of_seeds(x["gentle_success_of_seeds"]),
         "success of each seed [%]": lambda x: _of_seeds(x["success_of_seeds"]),
@@ -183,6 +183,13 @@ def gentle(folder: Path = RESULTS) -> str:
     }
     by = ("env", "cost_limit", "cost_multiplier_max", "cost_margin", "started_from")
     return _of_runs(read_results("gentle", by, folder), columns)
+
+
+def _begun(policy: str | None) -> str:
+    """What a training began with, by the policy that it was given."""
+    if policy is None:
+        return "a new policy"
+    return "the policy before" if policy == "shipped" else "one that did not ship"
 
 
 def continued(folder: Path = RESULTS) -> str:

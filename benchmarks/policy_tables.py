@@ -52,6 +52,8 @@ def _success(line: Line) -> str:
 
 Training = tuple[str, str, int | None]
 """Of a policy: environment, beginning of the commit, seed."""
+TRAININGS = ("suite", "selection", "gentle", "continued", "candidates")
+"""Results that tell of which training a policy comes."""
 KINDS = {"gentle": "one made gentle", "continued": "a continued one", "suite": "one of the suite"}
 """Results of trainings -> what a policy from them is called; those of others are "an earlier one"."""
 
@@ -65,7 +67,7 @@ def shipped_trainings(folder: Path = RESULTS) -> dict[str, tuple[Training, str |
     """Environment -> training of the policy that ships, the results that it is in (None: no line), and its number of seeds."""
     chosen = {
         _training(x): (name, len(x["seeds"]))
-        for name in ("suite", "selection", "gentle", "continued", "candidates")
+        for name in TRAININGS
         for x in read_results(name, ("env", "commit", "policy_commit", "chosen"), folder)
         if "chosen" in x
     }

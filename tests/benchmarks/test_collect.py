@@ -15,7 +15,7 @@ from fake_pair_env import FakePairEnv
 
 from agym_jax.policy.policy import read_policy
 from benchmarks import collect as collecting
-from benchmarks import markdown, policy_tables, seed_curves, shipped
+from benchmarks import markdown, policy_tables, seed_curves, shipped, training_tables
 from benchmarks.setting_as_run import SettingError, setting_as_run
 from train import coop, ppo, select
 from train.configs import CoopConfig, PPOConfig
@@ -90,6 +90,27 @@ def collected(runs, setting, **fields):
 
 def lines(repository, name):
     return read_rows(repository / "results" / f"{name}.jsonl")
+
+
+@pytest.mark.slow
+def test_a_suite_is_kept_as_a_whole_with_its_time(runs, repository, capsys):
+    words = [str(runs), "--suite", "--only", ALONE, "--least", "0", "--commit", "abc"]
+    assert collecting.main(words) == 2 and "0 commands that began" in capsys.readouterr().err
+    assert not lines(repository, "suite") and not lines(repository, "evaluation")
+    journal = runs / "journal.jsonl"
+    rows = [{"env": ALONE, "command": "train", "began": 5.0, "gpu": "1"}]
+    rows += [{"env": ALONE, "command": "train", "ended": 67.4, "seconds": 62.4, "status": 0}]
+    journal.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    try:
+        assert collecting.main(words) == 0
+        (line,) = lines(repository, "suite")
+    finally:
+        journal.unlink()
+    assert line["suite_seconds"] == 62 and line["suite_gpus"] == 1 and len(line["seeds"]) == 2
+    assert line["training"]["num_env_steps"] == 960 and "curve" not in line["training"]
+    assert not lines(repository, "selection")
+    table = training_tables.suite(repository / "results")
+    assert "trained and evaluated in 1:02 on 1 GPUs" in table and ALONE in table
 
 
 @pytest.mark.slow

@@ -38,9 +38,13 @@ TRAINERS = {"brax": "Brax PPO", "same": "`train.ppo`, same settings", "shipped":
 
 def suite(folder: Path = RESULTS) -> str:
     """What the seeds of the newest suite achieve, all trained by one command, and how long the whole took."""
-    lines = sorted(read_results("suite", ("env",), folder), key=itemgetter("env"))
-    if not lines:
+    found = read_results("suite", ("env", "time"), folder)
+    if not found:
         return NOTHING
+    newest = max(found, key=itemgetter("time"))
+    whole = [newest[key] for key in ("commit", "suite_seconds", "suite_gpus")]
+    lines = [x for x in found if [x[y] for y in ("commit", "suite_seconds", "suite_gpus")] == whole]
+    lines.sort(key=itemgetter("env"))
     rows = [overview.cells(line, line["training"]) for line in lines]
     sign = mark(lines)
     for row, line in zip(rows, lines, strict=True):
@@ -49,7 +53,7 @@ def suite(folder: Path = RESULTS) -> str:
     seconds, gpus = lines[0]["suite_seconds"], lines[0]["suite_gpus"]
     episodes = several(f"{x['episodes']:,}" for x in lines)
     note = (
-        f"{len(lines)} environments, {steps / 1e9:.2f} billion steps in all, trained and evaluated in {duration(seconds)} on {gpus} GPUs; "
+        f"{len(lines)} environments, {steps / 1e9:.2f} billion steps in all, trained and evaluated in {duration(seconds)} on {gpus} GPU{'s' * (gpus > 1)}; "
         f"{episodes} episodes of each seed, mode;"
     )
     return grid([overview.HEADINGS, *rows], lines, note)

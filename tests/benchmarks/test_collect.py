@@ -100,6 +100,7 @@ def test_a_suite_is_kept_as_a_whole_with_its_time(runs, repository, capsys):
     journal = runs / "journal.jsonl"
     rows = [{"env": ALONE, "command": "train", "began": 5.0, "gpu": "1"}]
     rows += [{"env": ALONE, "command": "train", "ended": 67.4, "seconds": 62.4, "status": 0}]
+    rows += [{"env": ALONE, "command": "enjoy", "began": 68.0, "gpu": None}]  # not yet filmed
     journal.write_text("".join(json.dumps(row) + "\n" for row in rows))
     try:
         assert collecting.main(words) == 0
@@ -110,7 +111,7 @@ def test_a_suite_is_kept_as_a_whole_with_its_time(runs, repository, capsys):
     assert line["training"]["num_env_steps"] == 960 and "curve" not in line["training"]
     assert not lines(repository, "selection")
     table = training_tables.suite(repository / "results")
-    assert "trained and evaluated in 1:02 on 1 GPUs" in table and ALONE in table
+    assert "trained and evaluated in 1:02 on 1 GPU;" in table and ALONE in table
 
 
 @pytest.mark.slow

@@ -119,6 +119,8 @@ def test_flags_of_some_environments(tmp_path, program):
         default_settings=True,
     )  # fmt: skip
     assert flags_for(config, "FeedingPR2-v0") == ["--impl", "jax"]
+    path = dataclasses.replace(config, flags=r"--robot-policy 'C:\my runs\p.npz' --lr=1e-4")
+    assert flags_for(path, "FeedingPR2-v0") == ["--robot-policy", r"C:\my runs\p.npz", "--lr=1e-4"]
     more = ["--impl", "jax", "--lr", "2e-4", "--humans.sizes", "both"]
     assert flags_for(config, "ReachingPR2-v0") == more
     (outcome,) = Runner(config, program).all(["ReachingJaco-v0"])
@@ -129,7 +131,11 @@ def test_flags_of_some_environments(tmp_path, program):
     typo = dataclasses.replace(config, flags_of=("Reachng=--lr 1",), save_dir=str(tmp_path / "no"))
     with pytest.raises(UnknownNameError, match="Reaching"):
         check_entries(typo, list_envs())
-    for wrong, why in (("Reaching", "NAME=FLAGS"), ("Reaching=--lr '1", "quotation")):
+    for wrong, why in (
+        ("Reaching", "NAME=FLAGS"),
+        ("Reaching=--lr '1", "--flags-of cannot be read"),
+        ("=--lr 1", "NAME=FLAGS"),
+    ):
         with pytest.raises(ConfigError, match=why):
             check_entries(dataclasses.replace(config, flags_of=(wrong,)), ["ReachingJaco-v0"])
 

@@ -89,12 +89,17 @@ def flags_for(config: SuiteConfig, env_name: str) -> list[str]:
     """
     needed = 'NAME=FLAGS, such as Dressing="--task.settled-gown 0.5"'
     own = _longest(config.flags_of, env_name, f"--flags-of takes {needed}")
+    return _words("--flags", config.flags) + _words("--flags-of", own)
+
+
+def _words(option: str, text: str) -> list[str]:
+    """Split as a shell does, but keep backslashes: they separate folders on Windows."""
+    words = shlex.shlex(text, posix=True)
+    words.whitespace_split, words.commenters, words.escape = True, "", ""
     try:
-        return shlex.split(config.flags) + shlex.split(own)
+        return list(words)
     except ValueError as error:
-        raise ConfigError(
-            f"Flags for {env_name} cannot be read ({error}): {config.flags} {own}"
-        ) from None
+        raise ConfigError(f"{option} cannot be read ({error}): {text}") from None
 
 
 def check_entries(config: SuiteConfig, ids: Sequence[str]) -> None:

@@ -77,11 +77,13 @@ class Found:
         run: its folder.
         choice: line of ``select``.
         training: from ``training_summary``.
+        suite: from ``whole_suite``, if it is kept as one of a suite.
     """
 
     run: Path
     choice: Line
     training: Line
+    suite: Line | None = None
 
     @property
     def gentle(self) -> bool:
@@ -104,9 +106,14 @@ def find(config: CollectConfig) -> list[Found]:
     """The runs of a folder that have a choice among their seeds.
 
     Raises:
-        CollectError: there are none, one has other settings than its id, or nobody knows with which commit they were made.
+        CollectError: there are none, the suite has not ended, one has other settings than its id, or nobody knows with which commit they were made.
     """
+    if config.suite and config.only:
+        raise CollectError(
+            "--suite keeps all runs of a suite, with the time of the whole. Leave out --only."
+        )
     found = []
+    wholes = {folder: whole_suite(folder) for folder in config.runs if config.suite}
     folders = [path for folder in config.runs for path in folder.glob("*-v0") if path.is_dir()]
     for run in sorted(folders, key=lambda path: path.name):
         choice, training = selection_of(run), training_summary(run)
@@ -130,7 +137,7 @@ def find(config: CollectConfig) -> list[Found]:
                 "training_time": training["time"], "num_env_steps": training["num_env_steps"],
                 "num_envs": training["num_envs"], "commit": commit,
             }  # fmt: skip
-            found.append(Found(run, choice | about, training))
+            found.append(Found(run, choice | about, training, wholes.get(run.parent)))
     if unknown := {*config.ship, *config.keep} - {x.run.name for x in found}:
         there = ", ".join(x.run.name for x in found) or "none"
         raise CollectError(
@@ -200,21 +207,37 @@ def reported(choice: Line) -> Line:
 
 
 def whole_suite(folder: Path) -> Line:
-    """How long a suite took, from its first training to its last choice [s], and on how many GPUs.
+    """What trainings and choices of a suite took, from its journal; pauses, and its films, do not count.
+
+    Returns:
+        ``seconds`` in which at least one of them ran, ``process_seconds`` of all together, and the number of ``gpus``.
 
     Raises:
-        CollectError: there is no journal, or not all that it names has ended.
+        CollectError: there is no journal, or something has not ended.
     """
-    rows = [x for x in read_rows(folder / JOURNAL) if x["command"] != "enjoy"]  # without its films
-    began = [row for row in rows if "began" in row]
-    ended = [row for row in rows if row.get("status") == 0]
-    if not began or len(began) != len(ended):
+    running: dict[tuple[str, str], Line] = {}
+    times, gpus = [], set()
+    for row in read_rows(folder / JOURNAL):
+        command = row["env"], row["command"]
+        if row["command"] == "enjoy":
+            continue
+        if "began" in row:
+            running[command] = row
+        elif begun := running.pop(command, None):
+            times.append((begun["began"], begun["began"] + row["seconds"]))
+            gpus.add(begun["gpu"])
+    if running or not times:
+        going = ", ".join(" of ".join(reversed(x)) for x in running) or "nothing"
         raise CollectError(
-            f"{folder / JOURNAL} tells of {len(began)} commands that began and of {len(ended)} that ended well; --suite is for a "
-            f"suite that went through at once."
+            f"--suite needs the journal of a suite that has ended; {folder / JOURNAL} tells of {len(times)} commands that have, "
+            f"and of these that have not: {going}."
         )
-    seconds = max(row["ended"] for row in ended) - min(row["began"] for row in began)
-    return {"suite_seconds": round(seconds), "suite_gpus": len({row["gpu"] for row in began})}
+    seconds, reached = 0.0, 0.0
+    for begin, end in sorted(times):
+        seconds += max(0.0, end - max(begin, reached))
+        reached = max(reached, end)
+    every = sum(end - begin for begin, end in times)
+    return {"seconds": round(seconds), "process_seconds": round(every), "gpus": len(gpus)}
 
 
 def decide(found: Found, least: float, replaced: bool = False) -> tuple[bool, str]:
@@ -284,10 +307,10 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
         ships, why = False, f"--keep; {why}"
     if not config.dry:
         about = {name: found.training[name] for name in ABOUT}
-        if config.suite:
+        if found.suite:
             training = {name: x for name, x in found.training.items() if name != "curve"}
-            whole = {"training": training, **whole_suite(found.run.parent)}
-            put("suite", {**choice, **whole}, ("env", "time"))
+            line = {**choice, "training": training, "suite": found.suite}
+            put("suite", line, ("env", "time"))
         elif found.gentle or found.continued:
             put("gentle" if found.gentle else "continued", {**choice, **about}, ("env", "time"))
             put("continued_training", found.training, ("env", "time"))

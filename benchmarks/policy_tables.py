@@ -52,10 +52,14 @@ def _success(line: Line) -> str:
 
 Training = tuple[str, str, int | None]
 """Of a policy: environment, beginning of the commit, seed."""
-TRAININGS = ("suite", "selection", "gentle", "continued", "candidates")
-"""Results that tell of which training a policy comes."""
-KINDS = {"gentle": "one made gentle", "continued": "a continued one", "suite": "one of the suite"}
-"""Results of trainings -> what a policy from them is called; those of others are "an earlier one"."""
+TRAININGS = {
+    "suite": "one of the suite",
+    "selection": "an earlier one",
+    "gentle": "one made gentle",
+    "continued": "a continued one",
+    "candidates": "an earlier one",
+}
+"""Results that tell of which training a policy comes -> what a policy from them is called that is not the row's."""
 
 
 def _training(line: Line) -> Training:
@@ -148,18 +152,43 @@ def selections(folder: Path = RESULTS) -> str:
 
     def policy(line: Line) -> str:
         key, name, _ = ships.get(line["env"], (None, None, 0))
-        other = KINDS.get(name, "an earlier one") if name else ""
-        return "the chosen one" if key == _training(line) else other
+        if key == _training(line):
+            return "the chosen one"
+        return TRAININGS[name] if name else ""
 
     of = [training(line) for line in lines]
-    sign, rows = mark(lines), [overview.cells(*both) for both in zip(lines, of, strict=True)]
-    for row, line in zip(rows, lines, strict=True):
-        row[0] += sign(line)
-        row.append(policy(line))
+    rows = [
+        [*row, policy(line)] for row, line in zip(_rows_of_seeds(lines, of), lines, strict=True)
+    ]
     episodes = several(f"{x['episodes']:,}" for x in lines)
     took = sum(x["wall_seconds"] or x["train_seconds"] for x in of if x)
     note = f"{episodes} episodes of each seed, mode; all trainings one after another: {duration(took)};"
     return grid([(*overview.HEADINGS, "the policy that ships"), *rows], lines, note)
+
+
+def suite(folder: Path = RESULTS) -> str:
+    """What the seeds of the newest suite achieve, all trained by one command, and how long the whole took."""
+    found = read_results("suite", ("env", "time"), folder)
+    if not found:
+        return NOTHING
+    whole = max(found, key=itemgetter("time"))["suite"]
+    lines = sorted((x for x in found if x["suite"] == whole), key=itemgetter("env"))
+    rows = _rows_of_seeds(lines, [x["training"] for x in lines])
+    steps = sum(len(x["seeds"]) * x["num_env_steps"] for x in lines)
+    episodes = several(f"{x['episodes']:,}" for x in lines)
+    note = (
+        f"{len(lines)} environments, {steps / 1e9:.2f} billion steps in all, trained and evaluated in {duration(whole['seconds'])} on "
+        f"{whole['gpus']} GPU{'s' * (whole['gpus'] > 1)}, by processes that took {duration(whole['process_seconds'])} in all; "
+        f"{episodes} episodes of each seed, mode;"
+    )
+    return grid([overview.HEADINGS, *rows], lines, note)
+
+
+def _rows_of_seeds(lines: Sequence[Line], trainings: Sequence[Line | None]) -> list[list[str]]:
+    """Rows under ``overview.HEADINGS``, with a sign where the physics has changed since."""
+    sign = mark(lines)
+    rows = [overview.cells(*both) for both in zip(lines, trainings, strict=True)]
+    return [[row[0] + sign(line), *row[1:]] for row, line in zip(rows, lines, strict=True)]
 
 
 def gentle(folder: Path = RESULTS) -> str:

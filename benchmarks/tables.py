@@ -44,7 +44,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "chosen-among": policy_tables.chosen_among,
     "policies": policy_tables.policies,
     "selections": policy_tables.selections,
-    "suite": training_tables.suite,
+    "suite": policy_tables.suite,
     "sweeps": policy_tables.sweeps,
     "gentle": policy_tables.gentle,
     "continued": policy_tables.continued,

@@ -6,10 +6,8 @@ from collections.abc import Callable, Iterable, Mapping
 from operator import itemgetter
 from pathlib import Path
 
-from benchmarks.markdown import NOTHING, RESULTS, Line, grid, mark, read_results, several, table
+from benchmarks.markdown import RESULTS, Line, read_results, several, table
 from benchmarks.speed_tables import BATCH
-from train.runs import overview
-from train.runs.progress import duration
 
 
 def _sharing(line: Line) -> str:
@@ -34,29 +32,6 @@ def training(folder: Path = RESULTS) -> str:
 
 
 TRAINERS = {"brax": "Brax PPO", "same": "`train.ppo`, same settings", "shipped": "`train.ppo`"}
-
-
-def suite(folder: Path = RESULTS) -> str:
-    """What the seeds of the newest suite achieve, all trained by one command, and how long the whole took."""
-    found = read_results("suite", ("env", "time"), folder)
-    if not found:
-        return NOTHING
-    newest = max(found, key=itemgetter("time"))
-    whole = [newest[key] for key in ("commit", "suite_seconds", "suite_gpus")]
-    lines = [x for x in found if [x[y] for y in ("commit", "suite_seconds", "suite_gpus")] == whole]
-    lines.sort(key=itemgetter("env"))
-    rows = [overview.cells(line, line["training"]) for line in lines]
-    sign = mark(lines)
-    for row, line in zip(rows, lines, strict=True):
-        row[0] += sign(line)
-    steps = sum(len(x["seeds"]) * x["num_env_steps"] for x in lines)
-    seconds, gpus = lines[0]["suite_seconds"], lines[0]["suite_gpus"]
-    episodes = several(f"{x['episodes']:,}" for x in lines)
-    note = (
-        f"{len(lines)} environments, {steps / 1e9:.2f} billion steps in all, trained and evaluated in {duration(seconds)} on {gpus} GPU{'s' * (gpus > 1)}; "
-        f"{episodes} episodes of each seed, mode;"
-    )
-    return grid([overview.HEADINGS, *rows], lines, note)
 
 
 def brax_ppo(folder: Path = RESULTS) -> str:

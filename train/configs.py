@@ -293,13 +293,13 @@ def config_for(
         platform: JAX's name of the device kind: "cpu", "gpu", "tpu".
         continues: whether training starts from a policy, which need not find out what succeeds.
     """
-    changes = _of(TASK_CHANGES, env_name, {})
-    changes = changes | (_of(CPU_CHANGES, env_name, {}) if platform == "cpu" else {})
+    changes = entry_of(TASK_CHANGES, env_name, {})
+    changes = changes | (entry_of(CPU_CHANGES, env_name, {}) if platform == "cpu" else {})
     changes = changes | (dict.fromkeys(NOISE_BOUNDS, 0.0) if continues else {})
     return dataclasses.replace(kind(), env_name=env_name, task=task_config(env_name), **changes)
 
 
-def _of(table: dict[str, Any], env_name: str, otherwise: Any) -> Any:
+def entry_of(table: dict[str, Any], env_name: str, otherwise: Any) -> Any:
     """Return the entry with the longest key that is a prefix of the environment id."""
     plain = env_name.rpartition(":")[2]  # without the module of a plug-in
     keys = [key for key in table if plain.startswith(key)]

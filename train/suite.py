@@ -49,7 +49,7 @@ def write_results(config: SuiteConfig, ids: Sequence[str]) -> None:
 def describe(outcome: Outcome) -> str:
     """Return a line of the table, or what failed."""
     name = f"{outcome.env_name:<28}"
-    took = "finished before" if outcome.kept else duration(outcome.seconds)
+    took = outcome.kept or duration(outcome.seconds)
     if outcome.line is None:
         return f"{name} failed after {took}:\n{outcome.problem}"
     if not outcome.line:

@@ -15,7 +15,7 @@ from fake_pair_env import FakePairEnv
 
 from agym_jax.policy.policy import read_policy
 from benchmarks import collect as collecting
-from benchmarks import markdown, policy_tables, seed_curves, shipped, training_tables
+from benchmarks import markdown, policy_tables, seed_curves, shipped
 from benchmarks.setting_as_run import SettingError, setting_as_run
 from train import coop, ppo, select
 from train.configs import CoopConfig, PPOConfig
@@ -92,26 +92,61 @@ def lines(repository, name):
     return read_rows(repository / "results" / f"{name}.jsonl")
 
 
+def journal(folder, *rows):
+    """A suite's journal; returns its path.
+
+    Args:
+        folder: of the suite.
+        rows: of each command: environment, command, GPU, when it began, seconds that it took (None: it has not ended).
+    """
+    told = []
+    for env, command, gpu, began, seconds in rows:
+        told.append({"env": env, "command": command, "gpu": gpu, "began": began})
+        if seconds is not None:
+            told.append({"env": env, "command": command, "seconds": seconds, "status": 0})
+    path = folder / "journal.jsonl"
+    path.write_text("".join(json.dumps(row) + "\n" for row in told))
+    return path
+
+
+def test_a_suites_time_is_that_in_which_something_ran(tmp_path):
+    commands = [
+        (ALONE, "train", "0", 5.0, 60.0),
+        (PAIR, "coop", "1", 35.0, 90.0),
+        (ALONE, "select", "0", 65.0, 10.0),
+        (ALONE, "enjoy", None, 75.0, 900.0),  # films do not count
+        (PAIR, "select", "1", 1125.0, 8.0),  # nor does a pause
+    ]
+    journal(tmp_path, *commands)
+    whole = {"seconds": 128, "process_seconds": 168, "gpus": 2}
+    assert collecting.whole_suite(tmp_path) == whole
+    journal(tmp_path, *commands[:2], (ALONE, "select", "0", 65.0, None))
+    with pytest.raises(collecting.CollectError, match=f"have not: select of {ALONE}"):
+        collecting.whole_suite(tmp_path)
+
+
 @pytest.mark.slow
 def test_a_suite_is_kept_as_a_whole_with_its_time(runs, repository, capsys):
-    words = [str(runs), "--suite", "--only", ALONE, "--least", "0", "--commit", "abc"]
-    assert collecting.main(words) == 2 and "0 commands that began" in capsys.readouterr().err
+    words = [str(runs), "--suite", "--least", "0", "--commit", "abc"]
+    assert collecting.main(words) == 2 and "0 commands that have" in capsys.readouterr().err
+    assert collecting.main([*words, "--only", ALONE]) == 2
+    assert "Leave out --only" in capsys.readouterr().err
     assert not lines(repository, "suite") and not lines(repository, "evaluation")
-    journal = runs / "journal.jsonl"
-    rows = [{"env": ALONE, "command": "train", "began": 5.0, "gpu": "1"}]
-    rows += [{"env": ALONE, "command": "train", "ended": 67.4, "seconds": 62.4, "status": 0}]
-    rows += [{"env": ALONE, "command": "enjoy", "began": 68.0, "gpu": None}]  # not yet filmed
-    journal.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    path = journal(runs, (ALONE, "train", "1", 5.0, 62.4))
     try:
         assert collecting.main(words) == 0
-        (line,) = lines(repository, "suite")
     finally:
-        journal.unlink()
-    assert line["suite_seconds"] == 62 and line["suite_gpus"] == 1 and len(line["seeds"]) == 2
+        path.unlink()
+    line, other = lines(repository, "suite")
+    assert line["suite"] == {"seconds": 62, "process_seconds": 62, "gpus": 1} == other["suite"]
     assert line["training"]["num_env_steps"] == 960 and "curve" not in line["training"]
     assert not lines(repository, "selection")
-    table = training_tables.suite(repository / "results")
-    assert "trained and evaluated in 1:02 on 1 GPU;" in table and ALONE in table
+    table = policy_tables.suite(repository / "results")
+    assert "2 environments" in table and "evaluated in 1:02 on 1 GPU, by" in table
+    newer = {**line, "time": "2099", "suite": {**line["suite"], "seconds": 125}}
+    collecting.put("suite", newer, ("env", "time"))  # of a newer suite, with fewer environments
+    table = policy_tables.suite(repository / "results")
+    assert "1 environments" in table and "2:05" in table and PAIR not in table
 
 
 @pytest.mark.slow

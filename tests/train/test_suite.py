@@ -22,7 +22,7 @@ from train.runs.overview import read_rows, wall_seconds
 from train.suite import describe, main
 from train.suites import children
 from train.suites import runner as runners
-from train.suites.plan import SuiteConfig, check_entries, flags_for, named, steps_of
+from train.suites.plan import SuiteConfig, check_entries, flags_for, named, steps_for
 from train.suites.runner import Runner
 from train.suites.whole import Whole
 
@@ -86,8 +86,11 @@ def test_commands_of_robots_alone_and_of_pairs(tmp_path, program):
     before = len(calls(tmp_path))
     again = sorted(Runner(config, program).all(ids), key=lambda x: x.env_name)
     assert [x.line for x in again] == [x.line for x in outcomes]  # what is finished is kept
-    assert "finished before" in describe(again[0])
+    assert describe(again[0]).endswith("finished before")
     assert len(calls(tmp_path)) == before
+    (changed,) = Runner(dataclasses.replace(config, flags="--lr 1"), program).all(ids[:1])
+    assert "finished before, with other arguments" in describe(changed)
+    assert f"{ids[0]}.log" in describe(changed) and len(calls(tmp_path)) == before
 
 
 def test_what_fails_is_told_and_the_others_go_on(tmp_path, program):
@@ -104,12 +107,16 @@ def test_names_and_steps():
     assert len(named([], everything)) == 56
     with pytest.raises(UnknownNameError, match="ReachingJacko"):
         named(["ReachingJacko"], everything)
-    steps = ["Dressing=6e6", "DressingPR2=8e6"]
-    assert steps_of(steps, "DressingPR2-v0") == ["--num-env-steps", "8e6"]
-    assert steps_of(steps, "DressingJaco-v0") == ["--num-env-steps", "6e6"]
-    assert steps_of(steps, "ReachingJaco-v0") == []
-    with pytest.raises(ConfigError, match="NAME=STEPS"):
-        steps_of(["Dressing"], "DressingJaco-v0")
+    config = SuiteConfig(steps=("DressingPR2=8e6", "Dressing=6e6"))
+    assert steps_for(config, "DressingPR2-v0") == "8e6"  # the longest name, wherever it stands
+    assert steps_for(config, "DressingJaco-v0") == "6e6"
+    assert steps_for(config, "ReachingJaco-v0") is None
+    with pytest.raises(ConfigError, match="--steps takes NAME=STEPS"):
+        check_entries(SuiteConfig(steps=("Dressing",)), everything)
+    with pytest.raises(UnknownNameError, match="Dresing"):
+        check_entries(SuiteConfig(steps=("Dresing=6e6",)), everything)
+    with pytest.raises(ConfigError, match="--num-seeds 1 leaves none"):
+        SuiteConfig(num_seeds=1, default_settings=True)
 
 
 def test_flags_of_some_environments(tmp_path, program):
@@ -137,7 +144,23 @@ def test_flags_of_some_environments(tmp_path, program):
         ("=--lr 1", "NAME=FLAGS"),
     ):
         with pytest.raises(ConfigError, match=why):
-            check_entries(dataclasses.replace(config, flags_of=(wrong,)), ["ReachingJaco-v0"])
+            check_entries(dataclasses.replace(config, flags_of=(wrong,)), list_envs())
+
+
+def test_flags_of_several_environments_on_the_command_line(tmp_path, program):
+    words = [
+        "--only",
+        "ReachingJaco-v0",
+        "--num-seeds",
+        "2",
+        "--no-clips",
+        "--save-dir",
+        str(tmp_path),
+    ]
+    words += ["--flags-of", "Reaching=--lr 1e-4 --seed=7", "Feeding=--lr 2", "--flags=--impl jax"]
+    assert main(words, program=program) == 0
+    (train, _), _ = calls(tmp_path)
+    assert train[-5:] == ["--impl", "jax", "--lr", "1e-4", "--seed=7"]
 
 
 def test_a_wrong_name_is_refused_before_anything_starts(tmp_path, capsys):

@@ -12,6 +12,7 @@ import tyro
 from agym_jax.errors import UnknownNameError, checked_count
 from agym_jax.flags import Count
 
+from ..configs import entry_of
 from ..errors import ConfigError, check_save_dir
 
 
@@ -50,6 +51,10 @@ class SuiteConfig:
         """Reject invalid settings before anything is built."""
         for name in ("num_seeds", "num_episodes", "parallel"):
             checked_count(f"--{name.replace('_', '-')}", getattr(self, name))
+        if self.default_settings and self.num_seeds == 1:
+            raise ConfigError(
+                "--default-settings is about the choice among seeds, and --num-seeds 1 leaves none. Leave one of them out."
+            )
         check_save_dir(self.save_dir)
 
 
@@ -71,14 +76,35 @@ def named(parts: Sequence[str], ids: Sequence[str], kind: str = "environment") -
     return list(dict.fromkeys(found))
 
 
-def steps_of(steps: Sequence[str], env_name: str) -> list[str]:
-    """Return the flag for the steps of an environment, from the longest NAME with which its id begins.
+def entries(option: str, texts: Sequence[str], needed: str) -> dict[str, str]:
+    """Read entries of the form NAME=VALUE.
+
+    Args:
+        option: that takes them, for the error message.
+        texts: entries.
+        needed: their form, with an example.
 
     Raises:
-        ConfigError: if an entry is not of the form NAME=STEPS.
+        ConfigError: if an entry is not of this form.
     """
-    count = _longest(steps, env_name, "--steps takes NAME=STEPS, such as Dressing=6e6")
-    return ["--num-env-steps", count] if count else []
+    found = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if not (name and value):
+            raise ConfigError(f"{option} takes {needed}; got {text!r}.")
+        found[name] = value
+    return found
+
+
+def steps_by_name(config: SuiteConfig) -> dict[str, str]:
+    """Return ``--steps`` as NAME -> steps. Raises ``ConfigError`` as ``entries`` does."""
+    return entries("--steps", config.steps, "NAME=STEPS, such as Dressing=6e6")
+
+
+def flags_by_name(config: SuiteConfig) -> dict[str, str]:
+    """Return ``--flags-of`` as NAME -> flags. Raises ``ConfigError`` as ``entries`` does."""
+    example = 'NAME=FLAGS, such as Dressing="--task.settled-gown 0.5"'
+    return entries("--flags-of", config.flags_of, example)
 
 
 def flags_for(config: SuiteConfig, env_name: str) -> list[str]:
@@ -87,19 +113,13 @@ def flags_for(config: SuiteConfig, env_name: str) -> list[str]:
     Raises:
         ConfigError: if an entry of ``flags_of`` is not of the form NAME=FLAGS, or the quotes of one are not closed.
     """
-    needed = 'NAME=FLAGS, such as Dressing="--task.settled-gown 0.5"'
-    own = _longest(config.flags_of, env_name, f"--flags-of takes {needed}")
+    own = entry_of(flags_by_name(config), env_name, "")
     return _words("--flags", config.flags) + _words("--flags-of", own)
 
 
-def _words(option: str, text: str) -> list[str]:
-    """Split as a shell does, but keep backslashes: they separate folders on Windows."""
-    words = shlex.shlex(text, posix=True)
-    words.whitespace_split, words.commenters, words.escape = True, "", ""
-    try:
-        return list(words)
-    except ValueError as error:
-        raise ConfigError(f"{option} cannot be read ({error}): {text}") from None
+def steps_for(config: SuiteConfig, env_name: str) -> str | None:
+    """Return the steps of an environment, by the longest NAME with which its id begins; None leaves them to the trainer."""
+    return entry_of(steps_by_name(config), env_name, None)
 
 
 def check_entries(config: SuiteConfig, ids: Sequence[str]) -> None:
@@ -113,21 +133,20 @@ def check_entries(config: SuiteConfig, ids: Sequence[str]) -> None:
         ConfigError: if an entry is not of its form.
         UnknownNameError: if no id begins with the NAME of an entry.
     """
-    for name in ids:
-        steps_of(config.steps, name)
-        flags_for(config, name)
-    for entry in (*config.steps, *config.flags_of):
-        start = entry.partition("=")[0]
+    flags = flags_by_name(config)
+    for start in (*steps_by_name(config), *flags):
         if not any(name.startswith(start) for name in ids):
             raise UnknownNameError("environment", start, ids)
+    _words("--flags", config.flags)
+    for text in flags.values():
+        _words("--flags-of", text)
 
 
-def _longest(entries: Sequence[str], env_name: str, needed: str) -> str:
-    found = ("", "")
-    for entry in entries:
-        name, equals, value = entry.partition("=")
-        if not (name and equals and value):
-            raise ConfigError(f"{needed}; got {entry!r}.")
-        if env_name.startswith(name) and len(name) > len(found[0]):
-            found = (name, value)
-    return found[1]
+def _words(option: str, text: str) -> list[str]:
+    """Split as a shell does, but keep backslashes: they separate folders on Windows."""
+    words = shlex.shlex(text, posix=True)
+    words.whitespace_split, words.commenters, words.escape = True, "", ""
+    try:
+        return list(words)
+    except ValueError as error:
+        raise ConfigError(f"{option} cannot be read ({error}): {text}") from None

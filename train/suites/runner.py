@@ -17,7 +17,7 @@ from agym_jax.registry import parse
 
 from ..runs.overview import JOURNAL, read_rows, selection_of
 from .children import Children, claim, own_program
-from .plan import SuiteConfig, flags_for, steps_of
+from .plan import SuiteConfig, flags_for, steps_for
 
 FILM = "clip.gif"
 PATIENCE = 60.0  # seconds for a training of an earlier session to save its state and end
@@ -32,14 +32,14 @@ class Outcome:
         line: the selection's result; None if something failed.
         seconds: of training and choosing.
         problem: the last lines of what failed, if something did.
-        kept: whether it was finished before this session.
+        kept: how it was finished, if that was before this session.
     """
 
     env_name: str
     line: Mapping[str, Any] | None
     seconds: float
     problem: str = ""
-    kept: bool = False
+    kept: str = ""
 
 
 @dataclass
@@ -104,26 +104,41 @@ class Runner:
         return {name: problem for name, problem in failed.items() if problem}
 
     def _one(self, env_name: str, gpu: str, start: float) -> Outcome:
-        c, run = self.config, Path(self.config.save_dir) / env_name
+        run, commands = Path(self.config.save_dir) / env_name, self._commands(env_name)
         if line := selection_of(run):
-            return Outcome(env_name, line, time.perf_counter() - start, kept=True)
+            kept = self._finished(env_name, commands)
+            return Outcome(env_name, line, time.perf_counter() - start, kept=kept)
+        environment = {"CUDA_VISIBLE_DEVICES": gpu} if gpu else {}
+        if self.width > 1:
+            preallocate = os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+            environment["XLA_PYTHON_CLIENT_PREALLOCATE"] = preallocate
+        for words in commands:
+            if problem := self._run(words, env_name, environment):
+                return Outcome(env_name, None, time.perf_counter() - start, problem)
+        return Outcome(env_name, selection_of(run) or {}, time.perf_counter() - start)
+
+    def _commands(self, env_name: str) -> list[list[str]]:
+        """What is run for an environment: training, and with several seeds the choice among them."""
+        c, run = self.config, Path(self.config.save_dir) / env_name
+        steps = steps_for(c, env_name)
         train = [
             "coop" if parse(env_name).active else "train", "--env-name", env_name,
             "--num-seeds", str(c.num_seeds), "--save-dir", c.save_dir,
-            *steps_of(c.steps, env_name), *flags_for(c, env_name),
+            *(["--num-env-steps", steps] if steps else []), *flags_for(c, env_name),
         ]  # fmt: skip
         result = str(run / "selection.jsonl")
         select = ["select", str(run), "--num-episodes", str(c.num_episodes), "--json", result]
         select += [] if c.shipped else ["--no-shipped"]
         select += ["--default-settings"] if c.default_settings else []
-        environment = {"CUDA_VISIBLE_DEVICES": gpu} if gpu else {}
-        if self.width > 1:
-            preallocate = os.environ.get("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-            environment["XLA_PYTHON_CLIENT_PREALLOCATE"] = preallocate
-        for words in (train, select) if c.num_seeds > 1 else (train,):
-            if problem := self._run(words, env_name, environment):
-                return Outcome(env_name, None, time.perf_counter() - start, problem)
-        return Outcome(env_name, selection_of(run) or {}, time.perf_counter() - start)
+        return [train, select] if c.num_seeds > 1 else [train]
+
+    def _finished(self, env_name: str, commands: Sequence[Sequence[str]]) -> str:
+        """How an environment was finished before: by these commands, or by others, which its log tells."""
+        log = self._log(env_name)
+        told = log.read_text(errors="replace").splitlines() if log.is_file() else []
+        if all(_line(words) in told for words in commands):
+            return "finished before"
+        return f"finished before, with other arguments ({log})"
 
     def _film(self, env_name: str) -> str:
         folder = Path(self.config.save_dir)
@@ -138,7 +153,7 @@ class Runner:
         self, words: Sequence[str], env_name: str, environment: Mapping[str, str], log: str = "log"
     ) -> str:
         """Run one command, with its output in a log; returns the end of that if it failed."""
-        path = Path(self.config.save_dir) / f"{env_name}.{log}"
+        path = self._log(env_name, log)
         about = {"env": env_name, "command": words[0]}
         with path.open("a") as file:
             if not claim(file, PATIENCE):
@@ -146,12 +161,15 @@ class Runner:
             self._close(about, path)
             began, timer = time.time(), time.perf_counter()
             self._note({**about, "began": began, "gpu": environment.get("CUDA_VISIBLE_DEVICES")})
-            print("$", *words, file=file, flush=True)
+            print(_line(words), file=file, flush=True)
             status = self.children.run([*self.program, *words], file, environment)
         took = time.perf_counter() - timer
         self._note({**about, "ended": time.time(), "seconds": round(took, 1), "status": status})
         lines = path.read_text(errors="replace").splitlines()
         return "\n".join(lines[-5:]) or f"exit status {status}" if status else ""
+
+    def _log(self, env_name: str, kind: str = "log") -> Path:
+        return Path(self.config.save_dir) / f"{env_name}.{kind}"
 
     def _close(self, about: Mapping[str, Any], log: Path) -> None:
         """Note the time of a command that was killed together with the suite, up to its last words."""
@@ -164,3 +182,8 @@ class Runner:
     def _note(self, row: Mapping[str, Any]) -> None:
         with self._lock, (Path(self.config.save_dir) / JOURNAL).open("a") as file:
             print(json.dumps(row), file=file, flush=True)
+
+
+def _line(words: Sequence[str]) -> str:
+    """The line of a log that begins what a command prints."""
+    return f"$ {' '.join(words)}"

@@ -14,7 +14,7 @@ from agym_jax.flags import parse_count
 from ..configs import config_for
 from ..runs.overview import read_rows, selection_of
 from ..runs.progress import duration
-from .plan import SuiteConfig, steps_of
+from .plan import SuiteConfig, steps_for
 
 TRAINING = 0.9  # share of training in the work on an environment; the rest is measuring
 
@@ -57,8 +57,8 @@ class Whole:
         return done / math.fsum(weights.values())
 
     def _steps(self, env_name: str) -> float:
-        named = steps_of(self.config.steps, env_name)
-        return float(parse_count(named[1]) if named else config_for(env_name).num_env_steps)
+        steps = steps_for(self.config, env_name)
+        return float(parse_count(steps) if steps else config_for(env_name).num_env_steps)
 
     def words(self) -> str:
         """A line about the whole: what is done, what runs, and how long it may still take."""

@@ -15,6 +15,7 @@ from agym_jax.interrupts import is_program, leave_quietly
 if is_program():  # Gymnasium and NumPy take a while, and an interrupt in them says nothing
     leave_quietly()
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,6 +51,7 @@ def make(
     config: Any = None,
     episode_length: int | None = None,
     robot: RobotVariation | None = None,
+    memory: Sequence[float] | None = None,
 ) -> Env:
     """Build an environment.
 
@@ -66,11 +68,13 @@ def make(
         episode_length: control steps per episode; defaults to the task's own length of 200.
         robot: an ``agym_jax.RobotVariation``: the ranges of friction, motor strength, latency and sensor noise from
             which every episode draws; None for a robot that does not vary.
+        memory: time constants [s] of running averages that are appended to each agent's observation, such as ``(0.3, 4.0)``,
+            see ``agym_jax.memory``; None for Assistive Gym's observation, which shows the present only.
 
     Raises:
         UnknownNameError: if there is no such id or setting; the message suggests the closest match.
         ImplementationError: if Warp was requested but is not installed.
-        ArgumentError: if a setting, the length, the population or the variation is invalid.
+        ArgumentError: if a setting, the length, the population, the variation or the memory is invalid.
     """
     from agym_jax.changes import change_task
     from agym_jax.env import AssistiveEnv
@@ -82,7 +86,7 @@ def make(
         run_inline()
     recipe = parse(name)
     task = change_task(recipe.task, config, episode_length)
-    return AssistiveEnv(task, recipe.robot, recipe.active, impl, humans, num_envs, robot)
+    return AssistiveEnv(task, recipe.robot, recipe.active, impl, humans, num_envs, robot, memory)
 
 
 def load_policy(source: str | Path, env: Env | None = None) -> Policy | Pair:
@@ -98,7 +102,7 @@ def load_policy(source: str | Path, env: Env | None = None) -> Policy | Pair:
         PolicyNotFoundError: if there is no such policy; the message suggests the closest match and how to train one.
         PolicyDamagedError: if the file is damaged or is not a policy.
         PolicyEnvironmentError: if the policy was trained for another task, robot or agent than ``env``'s, or with
-            different weights, thresholds or robot variation.
+            different weights, thresholds, robot variation or memory.
         PolicyLayoutError: if the policy expects a different observation from ``env``'s.
     """
     from agym_jax.policy import load_policy as load

@@ -1,4 +1,4 @@
-"""Settings of an environment that differ from the defaults of its id: weights, population, robot and episode length.
+"""Settings of an environment that differ from the defaults of its id: weights, population, robot, memory and episode length.
 
 ``agym_jax.make`` applies ``config`` and ``episode_length`` to the task; ``changes_of`` lists what differs from the
 registered task. Checkpoints and policies store these changes, so that those with different settings are never mixed up.
@@ -17,6 +17,7 @@ from typing import Any
 
 from agym_jax.errors import ArgumentError, SpecError, UnknownNameError, checked_count
 from agym_jax.human.population import Population
+from agym_jax.memory import MEMORY, Memory
 from agym_jax.spec import Task
 from agym_jax.tasks import TASKS
 from agym_jax.variation import RobotVariation
@@ -63,13 +64,16 @@ def change_task(
     return dataclasses.replace(task, **changed) if changed else task  # pyrefly: ignore
 
 
-def changes_of(task: Task, humans: Population, robot: RobotVariation | None = None) -> Changes:
+def changes_of(
+    task: Task, humans: Population, robot: RobotVariation | None = None, memory: Memory = ()
+) -> Changes:
     """Return the settings that differ from those of the registered task of the same name.
 
     Args:
         task: the environment's task.
         humans: its population.
         robot: its robot variation, if any.
+        memory: its memory.
     """
     usual = TASKS.get(task.name, task)
     found: Changes = {}
@@ -78,6 +82,8 @@ def changes_of(task: Task, humans: Population, robot: RobotVariation | None = No
         found |= _differences("task", config, getattr(usual, "config", None))
     if task.episode_length != usual.episode_length:
         found[LENGTH] = task.episode_length
+    if memory:
+        found[MEMORY] = list(memory)
     found |= _differences("humans", humans, Population())
     return found | _differences("robot", robot or RobotVariation(), RobotVariation())
 
@@ -123,6 +129,8 @@ def arguments_of(changes: Changes) -> dict[str, Any]:
         found["config"] = parts["task"]
     if LENGTH in parts:
         found[LENGTH] = parts[LENGTH][""]
+    if MEMORY in parts:
+        found[MEMORY] = parts[MEMORY][""]
     for kind, record in (("humans", Population), ("robot", RobotVariation)):
         if kind in parts:
             found[kind] = record(**parts[kind])
@@ -153,6 +161,9 @@ def settings_tables(task: Task) -> dict[str, list[Setting]]:
     return {
         "config={name: value}, --task.NAME": settings_of(task),
         f"{LENGTH}=, --episode-length": [Setting(LENGTH, task.episode_length, unit, meaning)],
+        f"{MEMORY}=, --memory": [
+            Setting(MEMORY, (), "s", "time constants of averages that are appended to observations")
+        ],
         "humans=Population(name=value), --humans.NAME": list(_settings("", Population())),
         "robot=RobotVariation(name=value), --robot.NAME": list(_settings("", RobotVariation())),
     }

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -34,6 +34,7 @@ from agym_jax.human.population import Population, checked_population
 from agym_jax.human.regions import comfort_limits, no_forces
 from agym_jax.jax_settings import full_precision
 from agym_jax.math3d import first_sign, nearest_sign
+from agym_jax.memory import Averages, Past, checked_memory, remember, with_memory
 from agym_jax.metrics import metric_names, metrics_of, progress_of
 from agym_jax.rendering.raycast import Marker
 from agym_jax.sense import Motion, Sensed, quats_of, with_quats
@@ -46,7 +47,16 @@ from agym_jax.sim.scene import build_scene
 from agym_jax.sim.sensing import ContactSums, motion_at_rest, no_contacts, sense
 from agym_jax.sim.starts import load_starts
 from agym_jax.spec import Loaded, Privileged, RobotSpec, Task
-from agym_jax.state import Episode, State, last_seen, limited_by_brax, raw_key, select, strong
+from agym_jax.state import (  # fmt: skip
+    Episode,
+    State,
+    as_brax_env,
+    last_seen,
+    limited_by_brax,
+    raw_key,
+    select,
+    strong,
+)
 from agym_jax.variation import RobotVariation, checked_variation, sample_robot, sensed_by
 
 MAX_SPEED = 1e3
@@ -67,6 +77,7 @@ class AssistiveEnv:
         humans: population from which each episode draws its person.
         num_envs: number of environments that will be stepped together; determines the size of Warp's buffers.
         variation: how the robot varies from episode to episode; None if it does not.
+        memory: time constants of the averages in the observation [s], see ``agym_jax.memory``; None without memory.
 
     Attributes:
         changes: settings that differ from the id's defaults, see ``agym_jax.changes``.
@@ -81,12 +92,14 @@ class AssistiveEnv:
         humans: Population | None = None,
         num_envs: int = 1,
         variation: RobotVariation | None = None,
+        memory: Sequence[float] | None = None,
     ):
         self.task, self.robot, self.active = task, robot, active
         self.comfort = comfort_limits(task)
         self.humans = checked_population(humans)
         self.variation = checked_variation(variation)
-        self.changes = changes_of(task, self.humans, self.variation)
+        self.memory = checked_memory(memory, task.control.period)
+        self.changes = changes_of(task, self.humans, self.variation, self.memory)
         self.impl = choose_impl(impl)
         self.num_envs = checked_count("num_envs", num_envs)
         self.scene = build_scene(task, robot, active)
@@ -97,7 +110,7 @@ class AssistiveEnv:
         self._starts = load_starts(task, robot)
         self.native_rows = None if self.physics.traceable else native_rows_of(self)
         if not self.native_rows:
-            _introduce_to_brax()
+            as_brax_env(type(self))
 
     def __repr__(self) -> str:
         changed = f", {len(self.changes)} settings changed" if self.changes else ""
@@ -114,8 +127,14 @@ class AssistiveEnv:
     @property
     def observation_sizes(self) -> dict[str, int]:
         """Number of observation columns of each agent, in order."""
-        sizes = {"robot": observe.size(self.task.robot_obs)}
-        return {**sizes, "human": observe.size(self.task.human_obs)} if self.active else sizes
+        return {agent: observe.size(record) for agent, record in self.observation_records.items()}
+
+    @property
+    def observation_records(self) -> dict[str, type]:
+        """Record of each agent's observation, in order, with its memory."""
+        records = {"robot": self.task.robot_obs}
+        records |= {"human": self.task.human_obs} if self.active else {}
+        return {agent: with_memory(record, self.memory) for agent, record in records.items()}
 
     @property
     def action_size(self) -> int:
@@ -135,8 +154,7 @@ class AssistiveEnv:
     @property
     def layout_version(self) -> str:
         """Hash of the names and sizes of the observation's columns."""
-        records = [self.task.robot_obs, *([self.task.human_obs] if self.active else [])]
-        return observe.layout_version(*records)
+        return observe.layout_version(*self.observation_records.values())
 
     @property
     def backend(self) -> str:
@@ -150,11 +168,7 @@ class AssistiveEnv:
 
     @property
     def sys(self) -> Any:
-        """Brax's name for a model shared by all environments, which does not exist here.
-
-        Raises:
-            WrapperError: always, so that ``hasattr(env, "sys")`` is false.
-        """
+        """Brax's name for a model shared by all environments; raises WrapperError, so that ``hasattr(env, "sys")`` is false."""
         raise WrapperError(
             f"{self.name} has no sys: each person has their own model, in state.episode. Instead of Brax's "
             f"DomainRandomizationVmapWrapper, use agym_jax.make(name, humans=Population(...), robot=RobotVariation(...)); "
@@ -224,7 +238,7 @@ class AssistiveEnv:
         data, contacts, motion = self.physics.step(state.data, state.episode, targets)
         # sense -> task -> observe
         after, clock = self._evaluate_step(
-            data, contacts, motion, state.task, state.quats, state.episode, targets
+            data, contacts, motion, state.task, state.past, state.episode, targets
         )
         after["metrics"] = {**state.metrics, **after["metrics"]}
         episode = dataclasses.replace(
@@ -245,14 +259,14 @@ class AssistiveEnv:
         contacts: ContactSums,
         motion: Motion,
         task: Any,
-        quats_before: Array,
+        past: Past,
         episode: Episode,
         targets: ControlTargets,
     ) -> tuple[dict[str, Any], Array]:
         """Sense -> task -> observe, with the NaN guard: the fields of ``State``, and the number of steps taken ()."""
         # sense
         sensed = self._sense(data, contacts, motion, episode)
-        quats = nearest_sign(quats_of(sensed), quats_before)
+        quats = nearest_sign(quats_of(sensed), past.quats)
         sensed = with_quats(sensed, quats)
         # task
         task, events = self.task.advance(task, sensed)
@@ -260,7 +274,7 @@ class AssistiveEnv:
         self._check_terms(rewards)
         # observe
         step = episode.step + 1
-        obs, privileged_obs = self._observe(task, sensed, episode, step)
+        obs, privileged_obs, averages = self._observe(task, sensed, episode, step, past.averages)
         bad = ~(
             jnp.all(jnp.isfinite(data.qpos)) & jnp.all(abs(data.qvel) < MAX_SPEED)
             & jnp.all(jnp.isfinite(obs)) & jnp.isfinite(sum(rewards.values()))
@@ -270,7 +284,7 @@ class AssistiveEnv:
             "task": task,
             "obs": obs,
             "privileged_obs": privileged_obs,
-            "quats": jnp.where(bad, quats_before, quats),
+            "past": select(bad, past, Past(quats, averages)),
             "reward": jnp.asarray(sum(rewards.values())),
             "done": ((step >= self.episode_length) | bad).astype(jnp.float32),
             "metrics": metrics_of(
@@ -330,8 +344,9 @@ class AssistiveEnv:
         quats = first_sign(quats_of(sensed))
         sensed = with_quats(sensed, quats)
         task = self.task.init(key, sensed)
-        obs, privileged_obs = self._observe(task, sensed, episode, episode.step)
-        seen = {"task": task, "obs": obs, "privileged_obs": privileged_obs, "quats": quats}
+        obs, privileged_obs, averages = self._observe(task, sensed, episode, episode.step)
+        past = Past(quats, averages)
+        seen = {"task": task, "obs": obs, "privileged_obs": privileged_obs, "past": past}
         return strong((seen, progress_of(self.task, task)))
 
     # -- what stages share ---------------------------------------------------------------------
@@ -353,14 +368,20 @@ class AssistiveEnv:
         return sense(self.scene.index, data, contacts, motion, episode.human.dims, sizes)
 
     def _observe(
-        self, task: Any, sensed: Sensed, episode: Episode, step: Array
-    ) -> tuple[Array, Array | None]:
-        """Return the observation (n_obs,), and the privileged observation if the task has one (n_privileged,)."""
+        self,
+        task: Any,
+        sensed: Sensed,
+        episode: Episode,
+        step: Array,
+        before: Averages | None = None,
+    ) -> tuple[Array, Array | None, Averages | None]:
+        """Return the observation (n_obs,), the privileged one if the task has one (n_privileged,), and the averages."""
         robot, human = self.task.observe(task, sensed)
         seen = [sensed_by(episode.robot, type(robot), observe.flatten(robot), step)]
-        obs = jnp.concatenate([*seen, observe.flatten(human)] if self.active else seen)
+        seen += [observe.flatten(human)] if self.active else []
+        obs, averages = remember(seen, before, self.memory, self.dt)
         privileged = isinstance(self.task, Privileged)
-        return obs, self.task.privileged_obs(task) if privileged else None  # pyrefly: ignore
+        return obs, self.task.privileged_obs(task) if privileged else None, averages  # pyrefly: ignore
 
     # -- pictures --------------------------------------------------------------------------------
 
@@ -391,10 +412,3 @@ class AssistiveEnv:
     def markers(self, state: State) -> list[Marker]:
         """Return the markers that the task draws in pictures of one environment."""
         return markers_of(self.task, state)
-
-
-def _introduce_to_brax() -> None:
-    """Make ``isinstance(env, brax.envs.Env)`` hold. Not a base class: importing Brax imports MJX."""
-    from brax import envs
-
-    envs.Env.register(AssistiveEnv)

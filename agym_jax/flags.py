@@ -1,7 +1,7 @@
 """Code shared by the command lines: counts, and the flags that describe the environment.
 
-``--task.scratch 3 --humans.sizes continuous --robot.latency 0 2 --episode-length 100`` correspond to the arguments
-``config``, ``humans``, ``robot`` and ``episode_length`` of ``agym_jax.make``. The available ``--task`` flags depend on
+``--task.scratch 3 --humans.sizes continuous --robot.latency 0 2 --memory 0.3 4 --episode-length 100`` correspond to the arguments
+``config``, ``humans``, ``robot``, ``memory`` and ``episode_length`` of ``agym_jax.make``. The available ``--task`` flags depend on
 ``--env-name``.
 """
 
@@ -16,6 +16,7 @@ from typing import Annotated, Any, TypeVar
 
 from agym_jax.errors import MissingExtraError, UnknownNameError
 from agym_jax.human.population import Population
+from agym_jax.memory import MEMORY
 from agym_jax.registry import parse
 from agym_jax.variation import RobotVariation
 
@@ -64,6 +65,8 @@ class EnvFlags:
     """The population from which each episode draws its person."""
     robot: RobotVariation = RobotVariation()  # noqa: RUF009 (it is frozen)
     """Variation of the robot between episodes."""
+    memory: tuple[float, ...] = ()
+    """Time constants [s] of running averages that are appended to each agent's observation, such as 0.3 4; none by default."""
     task: Any = None
     """Weights and thresholds of the task; agym-jax settings ID lists them."""
 
@@ -74,6 +77,8 @@ class EnvFlags:
             found["humans"] = self.humans
         if self.robot.varies():
             found["robot"] = self.robot
+        if self.memory:
+            found[MEMORY] = self.memory
         if self.episode_length:
             found["episode_length"] = self.episode_length
         if self.task is not None and self.task != task_config(self.env_name):
@@ -133,6 +138,7 @@ def made_of(env: Any) -> dict[str, Any]:
     if hasattr(env, "changes"):
         found |= {"humans": env.humans, "episode_length": env.episode_length}
         found["robot"] = env.variation or RobotVariation()
+        found[MEMORY] = env.memory
         found["task"] = getattr(env.task, "config", None)
     return found
 

@@ -16,6 +16,7 @@ from agym_jax.errors import WrapperError
 from agym_jax.human.body import BodyFields
 from agym_jax.human.population import Human
 from agym_jax.human.pose import BodyPose
+from agym_jax.memory import Past
 from agym_jax.variation import RobotDraw
 
 _INSTEAD = "use wrap_env_fn=agym_jax.adapters.brax.wrap_for_brax_training"
@@ -60,7 +61,7 @@ class PipelineState:
     data: Any  # mjx.Data
     task: Any  # the task's own pytree
     episode: Episode
-    quats: Any  # as last observed (n, 4)
+    past: Past  # as last observed
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name == "data":
@@ -86,7 +87,7 @@ class State:
     episode: Episode
     key: jax.Array
     privileged_obs: Any = None  # for value functions, else unseen; may be None (n_privileged,)
-    quats: Any = None  # as last observed, wxyz, see ``sense.quats_of``          (n, 4)
+    past: Any = None  # what was observed before, see ``memory.Past``
     regions: Any = None  # forces on the person's body, see ``human.regions.RegionForces``
 
     def replace(self, **changes: Any) -> State:
@@ -109,7 +110,7 @@ class State:
         """
         if getattr(getattr(self.data, "impl", None), "value", None) == "warp":
             raise WrapperError(WARP_RESET)
-        return PipelineState(self.data, self.task, self.episode, self.quats)
+        return PipelineState(self.data, self.task, self.episode, self.past)
 
 
 def strong(tree: Any) -> Any:
@@ -155,7 +156,7 @@ def last_seen(before: State, after: State, xp: Any = jnp) -> State:
     )
 
 
-RESTARTED = ("data", "task", "obs", "privileged_obs", "quats", "episode", "key")
+RESTARTED = ("data", "task", "obs", "privileged_obs", "past", "episode", "key")
 """Fields of a state that a new episode replaces; reward, metrics and ``done`` remain those of the last step."""
 
 
@@ -187,3 +188,10 @@ def limited_by_brax(state: State) -> State:
     It wraps the environment directly and reads ``done`` immediately, so our adapter is never in between.
     """
     return state.replace(done=state.metrics["nan"]) if "steps" in state.info else state
+
+
+def as_brax_env(env: type) -> None:
+    """Make ``isinstance(x, brax.envs.Env)`` hold for instances of a class. Not a base class: importing Brax imports MJX."""
+    from brax import envs
+
+    envs.Env.register(env)

@@ -228,12 +228,12 @@ def test_quaternions_begin_with_bullets_sign_and_keep_it(batch: CompiledBatch, r
     quat = rollout.obs[..., observe.layout(batch.env.task.robot_obs)["tool_quat_w"]]
     np.testing.assert_allclose(quat[0], first_sign(quat[0]), atol=0)
     assert ((quat[1:] * quat[:-1]).sum(-1) > 0.9).all()
-    last = np.asarray(rollout.last.quats)[:, 0]
+    last = np.asarray(rollout.last.past.quats)[:, 0]
     np.testing.assert_array_equal(last, quat[-1])
     # a turned state goes on turned; a new episode does not
     over = np.arange(BATCH) % 2 == 0
     state = _set(rollout.last, "episode", step=np.where(over, 199, 50))
-    state = state.replace(quats=-rollout.last.quats)
+    state = _set(state, "past", quats=-rollout.last.past.quats)
     after = batch.step(state, rollout.actions[0])
     seen = np.asarray(after.obs)[:, observe.layout(batch.env.task.robot_obs)["tool_quat_w"]]
     assert ((seen * last).sum(-1)[~over] < -0.9).all()

@@ -27,6 +27,7 @@ from agym_jax.errors import (
     PolicyNotFoundError,
 )
 from agym_jax.flags import Count, plain
+from agym_jax.memory import MEMORY
 from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.files import FILE_NAMES, find_policies, load_policies, load_policy
 from agym_jax.policy.policy import read_policy, save_policy
@@ -101,7 +102,9 @@ def load_seeds(
     """
     folders = seed_folders(run)
     trained = read_policy(next(iter(folders.values())) / FILE_NAMES["robot"])
-    changes = {} if default_settings else trained.info.get("changes", {})
+    changes = trained.info.get("changes", {})
+    if default_settings:  # what the policies observe stays
+        changes = {name: x for name, x in changes.items() if name == MEMORY}
     env = make(trained.info["env"], impl, **arguments_of(changes))
     fits = None if default_settings else env  # robots that varied in training are other settings
     return env, {seed: load_policy(folder, fits) for seed, folder in folders.items()}

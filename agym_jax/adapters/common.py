@@ -16,6 +16,7 @@ import agym_jax
 from agym_jax.changes import change_task
 from agym_jax.errors import ActionError, AgymError, checked_count, did_you_mean
 from agym_jax.human.population import Population, checked_population
+from agym_jax.memory import Memory, checked_memory
 from agym_jax.registry import parse
 from agym_jax.rendering.meshes import check_visuals
 from agym_jax.rendering.render import Renderer
@@ -64,6 +65,7 @@ class Recipe(NamedTuple):
     config: Any = None  # the task's whole record, None if it is as registered
     episode_length: int | None = None
     robot: RobotVariation | None = None
+    memory: Memory = ()
 
     @classmethod
     def checked(
@@ -74,6 +76,7 @@ class Recipe(NamedTuple):
         config: Any,
         episode_length: int | None,
         robot: Any,
+        memory: Any = None,
     ) -> Recipe:
         """Make a recipe from a user's arguments; see ``agym_jax.make``.
 
@@ -90,6 +93,7 @@ class Recipe(NamedTuple):
             task.config if changed("config") else None,  # pyrefly: ignore
             task.episode_length if changed("episode_length") else None,
             checked_variation(robot),
+            checked_memory(memory, task.control.period),
         )
 
     def make(self) -> agym_jax.Env:
@@ -101,6 +105,7 @@ class Recipe(NamedTuple):
             config=self.config,
             episode_length=self.episode_length,
             robot=self.robot,
+            memory=self.memory,
         )
 
 

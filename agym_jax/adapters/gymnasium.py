@@ -13,7 +13,7 @@ observations exceed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -78,6 +78,7 @@ class GymnasiumEnv(gymnasium.Env):
         config: weights and thresholds of the task, see ``agym_jax.make``.
         episode_length: control steps per episode, see ``agym_jax.make``.
         robot: variation of the robot, see ``agym_jax.make``.
+        memory: averages in the observation, see ``agym_jax.make``.
 
     Raises:
         UnknownNameError: if there is no such id or setting, or there are no such visuals.
@@ -106,9 +107,10 @@ class GymnasiumEnv(gymnasium.Env):
         config: Mapping[str, Any] | None = None,
         episode_length: int | None = None,
         robot: RobotVariation | None = None,
+        memory: Sequence[float] | None = None,
     ):
         self._view = View.checked(env_id, render_mode, width, height, camera, visuals)
-        self._made_of = Recipe.checked(env_id, impl, humans, config, episode_length, robot)
+        self._made_of = Recipe.checked(env_id, impl, humans, config, episode_length, robot, memory)
         refuse_fork()
         self._programs = _programs(self._made_of)
         self.render_mode = render_mode

@@ -79,6 +79,7 @@ class GymnasiumVectorEnv(VectorEnv):
         config: weights and thresholds of the task, see ``agym_jax.make``.
         episode_length: control steps per episode, see ``agym_jax.make``.
         robot: variation of the robot, see ``agym_jax.make``.
+        memory: averages in the observation, see ``agym_jax.make``.
 
     Raises:
         UnknownNameError: if there is no such id or setting, or there are no such visuals.
@@ -107,10 +108,11 @@ class GymnasiumVectorEnv(VectorEnv):
         config: Mapping[str, Any] | None = None,
         episode_length: int | None = None,
         robot: RobotVariation | None = None,
+        memory: Sequence[float] | None = None,
     ):
         self.num_envs = checked_count("num_envs", num_envs)
         self._view = View.checked(env_id, render_mode, width, height, camera, visuals)
-        recipe = Recipe.checked(env_id, impl, humans, config, episode_length, robot)
+        recipe = Recipe.checked(env_id, impl, humans, config, episode_length, robot, memory)
         refuse_fork()
         self._programs = _programs(recipe, self.num_envs)
         self.render_mode = render_mode

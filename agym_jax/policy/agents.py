@@ -51,8 +51,8 @@ def parts(env: Any) -> dict[str, Part]:
     If only the robot acts, everything belongs to the robot.
     """
     n, m = env.observation_size, env.action_size
-    task, alone = getattr(env, "task", None), len(env.action_sizes) < 2
-    records = [task.robot_obs, *([] if alone else [task.human_obs])] if task else []
+    alone = len(env.action_sizes) < 2
+    records = list(getattr(env, "observation_records", {}).values())
     former = observe.layout_version(*records, former=True) if records else None
     whole = Part(slice(0, n), slice(0, m), env.layout_version, former)
     if alone:

@@ -57,8 +57,7 @@ def observation_entries(env: Any, agents: tuple[str, ...]) -> list[dict[str, Any
     """Describe the observation's columns, in order: name, first column and one past the last, unit, frame."""
     entries, start = [], 0
     for agent in agents:
-        record = env.task.robot_obs if agent == "robot" else env.task.human_obs
-        for name, column in observe.columns(record).items():
+        for name, column in observe.columns(env.observation_records[agent]).items():
             stop = start + column.size
             entries.append(
                 {"name": name, "agent": agent, "start": start, "stop": stop, "unit": column.unit, "frame": column.frame}

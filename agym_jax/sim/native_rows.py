@@ -85,9 +85,9 @@ class NativeRows:
     ) -> Any:  # fmt: skip
         data = NativeData(numbers, self.physics.layout)
         sums, motion = self.physics.sums(sensors, samples)
-        moving, task, quats, _ = goes_on
+        moving, task, past, _ = goes_on
         episode = _episode(people, moving)
-        return self._stages.evaluate(data, sums, motion, task, quats, episode, targets)
+        return self._stages.evaluate(data, sums, motion, task, past, episode, targets)
 
     def _prepare(self, rows: int, episode: Episode, begins: Columns) -> None:
         """Compile what a step needs while the first reset goes on, in a thread.
@@ -109,7 +109,7 @@ class NativeRows:
         seen, _ = self._init_task.shapes(people, begins, numbers)
         _, moving = begins.tree()
         action = np.zeros((rows, self._action_size), np.float32)
-        goes_on = Columns.of((moving, seen["task"], seen["quats"], action), rows)
+        goes_on = Columns.of((moving, seen["task"], seen["past"], action), rows)
         targets = self._targets(people, goes_on, numbers)
         inputs = np.zeros((rows, physics.drive.inputs), np.float32)
         physics.drive(inputs, physics.drive.nothing(rows), targets, written)
@@ -175,7 +175,7 @@ class NativeRows:
         n, episode = len(action), state.episode
         slot.load(episode, part)
         numbers = np.asarray(state.data.numbers)[part]
-        tree = (_moving(episode), state.task, state.quats)
+        tree = (_moving(episode), state.task, state.past)
         goes_on = Columns.of(
             (*jax.tree.map(lambda x: np.asarray(x)[part], tree), action), slot.rows
         )

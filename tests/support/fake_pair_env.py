@@ -45,11 +45,17 @@ class FakePairEnv(FakeEnv):
     )
 
     def __post_init__(self) -> None:
-        records = [self.task.robot_obs, *([self.task.human_obs] if self.active else [])]
+        records = list(self.observation_records.values())
         self.name = f"{self.task_name}{'Human' if self.active else ''}-v0"
         self.layout_version = observe.layout_version(*records)
         self.action_sizes = {"robot": 1, "human": 1} if self.active else {"robot": 1}
         self.observation_sizes = {"robot": 2, "human": 3} if self.active else {"robot": 2}
+
+    @property
+    def observation_records(self) -> dict[str, type]:
+        """Record of each agent's observation."""
+        human = {"human": self.task.human_obs} if self.active else {}
+        return {"robot": self.task.robot_obs, **human}
 
     @property
     def observation_size(self) -> int:

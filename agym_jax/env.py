@@ -29,13 +29,13 @@ from jax import Array
 
 from agym_jax import observe
 from agym_jax.changes import changes_of
-from agym_jax.errors import SpecError, WrapperError, checked_count
+from agym_jax.errors import WrapperError, checked_count
 from agym_jax.human.population import Population, checked_population
 from agym_jax.human.regions import comfort_limits, no_forces
 from agym_jax.jax_settings import full_precision
 from agym_jax.math3d import first_sign, nearest_sign
 from agym_jax.memory import Averages, Past, checked_memory, remember, with_memory
-from agym_jax.metrics import metric_names, metrics_of, progress_of
+from agym_jax.metrics import check_terms, metric_names, metrics_of, progress_of
 from agym_jax.rendering.raycast import Marker
 from agym_jax.sense import Motion, Sensed, quats_of, with_quats
 from agym_jax.sim.arguments import check_key, check_single
@@ -47,16 +47,7 @@ from agym_jax.sim.scene import build_scene
 from agym_jax.sim.sensing import ContactSums, motion_at_rest, no_contacts, sense
 from agym_jax.sim.starts import load_starts
 from agym_jax.spec import Loaded, Privileged, RobotSpec, Task
-from agym_jax.state import (  # fmt: skip
-    Episode,
-    State,
-    as_brax_env,
-    last_seen,
-    limited_by_brax,
-    raw_key,
-    select,
-    strong,
-)
+from agym_jax.state import Episode, State, as_brax_env, last_seen, limited_by_brax, select, strong
 from agym_jax.variation import RobotVariation, checked_variation, sample_robot, sensed_by
 
 MAX_SPEED = 1e3
@@ -198,7 +189,7 @@ class AssistiveEnv:
         check_key(rng, self.name)
         check_traceable(self.physics, rng)
         if self.native_rows:
-            return self.native_rows.reset_one(raw_key(rng))
+            return self.native_rows.reset_one(rng)
         return self._begin(self.physics.make_data(), rng)
 
     @full_precision
@@ -271,7 +262,7 @@ class AssistiveEnv:
         # task
         task, events = self.task.advance(task, sensed)
         rewards = self.task.rewards(task, events, sensed, targets.action)
-        self._check_terms(rewards)
+        check_terms(self.task, rewards)
         # observe
         step = episode.step + 1
         obs, privileged_obs, averages = self._observe(task, sensed, episode, step, past.averages)
@@ -355,13 +346,6 @@ class AssistiveEnv:
     def metric_names(self) -> tuple[str, ...]:
         """Names of the entries of ``State.metrics``, in order."""
         return metric_names(self.task)
-
-    def _check_terms(self, rewards: dict[str, Array]) -> None:
-        if tuple(rewards) != tuple(self.task.reward_terms):
-            raise SpecError(
-                f"{self.task.name}.rewards returns {', '.join(rewards)}; its reward_terms are "
-                f"{', '.join(self.task.reward_terms)}. Name the same terms in the same order."
-            )
 
     def _sense(self, data: Any, contacts: ContactSums, motion: Motion, episode: Episode) -> Sensed:
         sizes = geom_sizes(self.scene, episode)

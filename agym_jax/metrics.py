@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from agym_jax.errors import SpecError
 from agym_jax.sense import Sensed
 from agym_jax.spec import Measured, Task
 
@@ -62,6 +63,19 @@ def progress_of(task: Task, state: Any) -> dict[str, Array]:
     if isinstance(task, Measured):
         found |= {f"{TASK_PREFIX}{name}": value for name, value in task.measure(state).items()}
     return {name: jnp.asarray(value).astype(jnp.float32) for name, value in found.items()}
+
+
+def check_terms(task: Task, rewards: dict[str, Array]) -> None:
+    """Check the names of reward terms.
+
+    Raises:
+        SpecError: if they are not the task's ``reward_terms``, in that order.
+    """
+    if tuple(rewards) != tuple(task.reward_terms):
+        raise SpecError(
+            f"{task.name}.rewards returns {', '.join(rewards)}; its reward_terms are {', '.join(task.reward_terms)}. Name the "
+            f"same terms in the same order."
+        )
 
 
 def metric_names(task: Task) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 EPISODE_LENGTH = 200
+PERIOD = 0.1  # of a control step [s]
 BEDS = ("BedBathing", "ArmManipulation")
 QUATS = {"Feeding": (3, 20), "Drinking": (3, 20), "ArmManipulation": (3, 10)}
 """First columns of the quaternions that robots observe; (3,) in other tasks."""
@@ -107,6 +108,25 @@ class Translator:
         return seen
 
 
+class Memory:
+    """Observations of one episode with the averages that a policy with memory sees, see ``agym_jax.memory``.
+
+    Args:
+        times: time constants of the averages [s]; none for a policy without memory.
+    """
+
+    def __init__(self, times: Sequence[float]) -> None:
+        self.shares = PERIOD / np.reshape(np.asarray(times, float), (-1, 1))
+        self.averages: Any = None
+
+    def __call__(self, obs: np.ndarray) -> np.ndarray:
+        """One observation (n_obs,); returns it with its averages (n_obs * (1 + number of averages),)."""
+        if self.averages is None:
+            self.averages = np.tile(obs, (len(self.shares), 1))
+        self.averages = self.averages + self.shares * (obs - self.averages)
+        return np.concatenate([obs, self.averages.reshape(-1)])
+
+
 def make_env(task: str, robot: str) -> Any:
     """Assistive Gym's environment, its person passive."""
     module = re.sub(r"(?<!^)(?=[A-Z])", "_", task).lower()
@@ -177,7 +197,13 @@ def start_of(env: Any, obs: np.ndarray) -> dict[str, Any]:
 
 
 def run_episode(
-    env: Any, act: Act, task: str, robot: str, seed: int, bed_rolling: float | None = None
+    env: Any,
+    act: Act,
+    task: str,
+    robot: str,
+    seed: int,
+    bed_rolling: float | None = None,
+    memory: Sequence[float] = (),
 ) -> SimpleNamespace:
     """One episode.
 
@@ -188,6 +214,7 @@ def run_episode(
         robot: of the environment, in lower case.
         seed: of the episode.
         bed_rolling: see ``roll``, from the start of the episode on; None leaves it alone.
+        memory: of the policy [s].
 
     Returns:
         ``success``, ``total`` reward, the mean and greatest ``forces`` on the person [N]; in ScratchItch the ``start`` and by
@@ -197,12 +224,12 @@ def run_episode(
     if bed_rolling is not None:
         roll(env, bed_rolling)
     translate, forces, total, info = Translator(task, robot, obs), [], 0.0, {}
-    start, tool, turned = None, None, 0.0
+    remember, start, tool, turned = Memory(memory), None, None, 0.0
     if task == "ScratchItch":
         start, tool = start_of(env, translate(obs)), HeldTool(env)
     twice = task == "ArmManipulation" and robot in ("jaco", "sawyer")  # it takes their action twice
     for _ in range(EPISODE_LENGTH):
-        action = act(translate(obs))
+        action = act(remember(translate(obs)))
         obs, reward, _, info = env.step(np.tile(action, 2) if twice else action)
         total += float(reward)
         forces.append(float(info["total_force_on_human"]))
@@ -271,9 +298,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         smooth_bed.install()
     env, found = make_env(task, robot), []
+    memory = about.get("changes", {}).get("memory", [])
     for seed in range(given.seed, given.seed + given.num_episodes):
         began = time.time()
-        found.append(run_episode(env, act, task, robot, seed, given.bed_rolling))
+        found.append(run_episode(env, act, task, robot, seed, given.bed_rolling, memory))
         won, last = sum(x.success for x in found), found[-1]
         print(
             f"seed {seed}: {'success' if last.success else 'failure'}, return {last.total:.1f}, force up to "
@@ -292,6 +320,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "time": datetime.now(UTC).isoformat(timespec="seconds"),
         }  # fmt: skip
         changed = {"bed_rolling": given.bed_rolling, "smooth_bed": given.smooth_bed or None}
+        if memory:
+            line["memory"] = memory
         if changes := {name: x for name, x in changed.items() if x is not None}:
             line["changes"] = changes
         with given.json.open("a") as file:

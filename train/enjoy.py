@@ -345,7 +345,8 @@ def main(
     env = make(
         config.env_name, config.impl, **config.options()
     )  # first: it knows which ids there are
-    files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
+    asked = (config.load_dir, config.policy, config.human_policy)
+    files = find_policies(config.env_name, *asked, memory=bool(config.memory))
     if config.visuals != "primitives":  # before anything is compiled
         check_visuals(config.visuals, env.robot)
     policy = load_policies(files, env, config.any_env, other_people=True)

@@ -95,7 +95,8 @@ def main(
     env = make(
         config.env_name, config.impl, **config.options()
     )  # first: it knows which ids there are
-    files = find_policies(config.env_name, config.load_dir, config.policy, config.human_policy)
+    asked = (config.load_dir, config.policy, config.human_policy)
+    files = find_policies(config.env_name, *asked, memory=bool(config.memory))
     policy = load_policies(files, env, config.any_env, other_people=True)
     print(f"Policy: {', '.join(x for x in (files.robot, files.human) if x)}", flush=True)
     result = evaluate(

@@ -154,7 +154,8 @@ def measure_shipped(
 ) -> tuple[EvaluationResult | None, str]:
     """Evaluate the shipped policy on the people of the report; or return None and the reason, empty if none ships."""
     try:
-        files = find_policies(evaluator.env.name)
+        memory = bool(getattr(evaluator.env, MEMORY, ()))
+        files = find_policies(evaluator.env.name, memory=memory)
     except PolicyNotFoundError:
         return None, ""
     try:

@@ -8,6 +8,7 @@ from typing import Any
 
 from agym_jax.changes import arguments_of, describe, essential, flags_of
 from agym_jax.errors import PolicyEnvironmentError, PolicyLayoutError
+from agym_jax.memory import MEMORY
 from agym_jax.policy.agents import BASELINES, AnyPolicy, Pair, parts
 from agym_jax.policy.policy import Policy, read_policy
 from agym_jax.registry import active_id, static_id
@@ -73,7 +74,7 @@ def check_policy(
 
     Raises:
         PolicyEnvironmentError: if the policy was trained for another task, robot or agent (a robot's policy fits both the
-            passive and the active person of the same task and robot), or with different settings.
+            passive and the active person of the same task and robot), or with different settings or another memory.
         PolicyLayoutError: if it expects a different observation layout or different sizes.
     """
     agents = parts(env)
@@ -96,6 +97,7 @@ def check_policy(
             f"{' or '.join(map(repr, fitting))}. Use --env-name {trained_in}, or train one: "
             f"{train_command(env.name)}"
         )
+    _check_memory(policy, env, path)
     theirs_changed, ours_changed = meant_for(policy.info), getattr(env, "changes", {})
     if other_people:
         theirs_changed, ours_changed = essential(theirs_changed), essential(ours_changed)
@@ -121,6 +123,20 @@ def check_policy(
             f"{path} takes {theirs[0]} observations and gives {theirs[1]} actions; {env.name!r} "
             f"has {ours[0]} and {ours[1]}."
         )
+
+
+def _check_memory(policy: Policy, env: Any, path: Path | str) -> None:
+    """Raise PolicyEnvironmentError if policy and environment have different memories."""
+    theirs = tuple(policy.info.get("changes", {}).get(MEMORY, ()))
+    ours = tuple(getattr(env, MEMORY, ()))
+    if theirs == ours:
+        return
+    told = lambda memory: f"the memory {memory}" if memory else "no memory"  # noqa: E731
+    remedy = f"with --memory {' '.join(f'{x:g}' for x in theirs)}" if theirs else "without --memory"
+    raise PolicyEnvironmentError(
+        f"{path} has {told(theirs)}, and the observation of {env.name!r} here is that of {told(ours)}. Make the environment "
+        f"{remedy} (in Python, agym_jax.make({env.name!r}, memory={theirs or None}))."
+    )
 
 
 def trained_otherwise(policy: AnyPolicy, env: Any) -> str:

@@ -22,6 +22,9 @@ CONVENTIONS = {
     "positive; from then on the sign that is nearer to the one before, so that none jumps",
     "joint angles": "arm_angles and human_angles are in the order of the action's entries; joints that turn freely begin in "
     "[-pi, pi) and count on from there",
+    "averages": "columns named ..._mean_300ms are exponential moving averages of the column whose name they begin with, here with a "
+    "time constant of 0.3 s: at the start of an episode the column itself; in every control step, the control period divided by "
+    "the time constant is the share of the new value",
     "forces": "means over the last control step; 0 at the start of an episode",
 }
 

@@ -16,7 +16,7 @@ from agym_jax.errors import (
 )
 from agym_jax.policy.agents import BASELINES, Baseline, Pair, baseline_policy, parts
 from agym_jax.policy.check import check_policy, train_command
-from agym_jax.policy.policy import Policy, not_found, read_policy, shipped
+from agym_jax.policy.policy import Policy, not_found, read_policy, shipped, shipped_folder
 from agym_jax.registry import active_id, static_id
 
 FILE_NAMES = {"robot": "policy.npz", "joint": "policy.npz", "human": "human_policy.npz"}
@@ -30,7 +30,7 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
 
     Args:
         source: an environment id, to load its shipped policy; or the path of a file (``.npz``) or of a training run's
-            folder (``trained_models/ScratchItchJaco-v0``). A string is taken as a path if it contains a slash, or if
+            folder (``trained_models/ScratchItchJaco-v0``). If ``env`` has a memory, the shipped one has it too. A string is taken as a path if it contains a slash, or if
             no policy ships under that name and there is such a folder.
         env: environment that the policy must fit; None skips this check.
 
@@ -42,7 +42,7 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
     if is_path or (text not in shipped() and isdir(str(source))):
         files = _files_at(Path(source), None if env is None else env.name)
     else:
-        files = find_policies(text)
+        files = find_policies(text, memory=bool(getattr(env, "memory", ())))
     robot = read_policy(files.robot)
     human = None if files.human is None else read_policy(files.human)
     if env is not None:
@@ -105,7 +105,10 @@ def _chosen_file(run: Path) -> Path:
 
 
 def find_policy(
-    env_name: str, load_dir: Path | str | None = None, policy: Path | str | None = None
+    env_name: str,
+    load_dir: Path | str | None = None,
+    policy: Path | str | None = None,
+    memory: bool = False,
 ) -> Path:
     """Return the policy file that the command-line tools select.
 
@@ -113,6 +116,7 @@ def find_policy(
         env_name: environment id.
         load_dir: ``--save-dir`` of a training run, or the run's own folder in it; selects ``<env>/policy.npz``.
         policy: a policy file, which takes precedence over ``load_dir``.
+        memory: whether a shipped policy is to have a memory.
 
     Returns:
         The file; if neither folder nor file is given, the shipped policy of the environment.
@@ -136,10 +140,12 @@ def find_policy(
             )
         return path
     try:
-        return asset_path(f"policies/{env_name}.npz")
+        return asset_path(f"{shipped_folder(memory)}/{env_name}.npz")
     except MissingAssetError:
+        what, flag = ("policy with a memory", " --memory 0.3 4") if memory else ("policy", "")
+        near = did_you_mean(env_name, shipped(memory))
         raise PolicyNotFoundError(
-            f"agym_jax ships no policy for {env_name!r}. {did_you_mean(env_name, shipped())} {train}"
+            f"agym_jax ships no {what} for {env_name!r}. {near} {train}{flag}"
         ) from None
 
 
@@ -156,6 +162,7 @@ def find_policies(
     load_dir: str | None = None,
     policy: str | None = None,
     human_policy: str | None = None,
+    memory: bool = False,
 ) -> PolicyFiles:
     """Return the policies that the command-line tools select, before anything is built.
 
@@ -165,6 +172,7 @@ def find_policies(
         policy: policy of the robot (or of both agents together): a file or a baseline, which takes precedence over
             ``load_dir``.
         human_policy: the same for the person.
+        memory: whether shipped policies are to have a memory.
 
     Raises:
         PolicyNotFoundError: if there is no such file.
@@ -177,12 +185,12 @@ def find_policies(
             f"In {plain!r} the person holds still and needs no --human-policy ({human_policy}). "
             f"Leave it out, or use --env-name {active_id(plain)}."
         )
-    robot = policy if policy in BASELINES else str(find_policy(plain, load_dir, policy))
+    robot = policy if policy in BASELINES else str(find_policy(plain, load_dir, policy, memory))
     human = human_policy
     if human and human not in BASELINES:
         human = str(find_policy(plain, None, human))
     if human is None and acts and policy is None:
-        beside = asset_root() / "policies" / "human" / f"{plain}.npz"
+        beside = asset_root() / shipped_folder(memory) / "human" / f"{plain}.npz"
         if load_dir is not None:
             beside = run_file(run_folder(load_dir, plain), "human")
         human = str(beside) if beside.is_file() else None

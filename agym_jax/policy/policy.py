@@ -199,12 +199,21 @@ def _fault(record: Any, arrays: Mapping[str, np.ndarray]) -> str | None:
     return None if (arrays["observation/std"] > 0).all() else "observation/std is not positive"
 
 
-def shipped() -> list[str]:
-    """Return the names of the environments for which a policy ships with agym_jax."""
+def shipped(memory: bool = False) -> list[str]:
+    """Return the names of the environments for which a policy ships with agym_jax.
+
+    Args:
+        memory: whether the policy has a memory, see ``agym_jax.memory``; some environments have both.
+    """
     try:
-        return sorted(p.stem for p in (asset_root() / "policies").glob("*.npz"))
+        return sorted(p.stem for p in (asset_root() / shipped_folder(memory)).glob("*.npz"))
     except MissingAssetError:
         return []
+
+
+def shipped_folder(memory: bool = False) -> str:
+    """Return the folder of the shipped policies of robots, with or without a memory, among the assets."""
+    return "policies/memory" if memory else "policies"
 
 
 def not_found(path: Path) -> PolicyNotFoundError:

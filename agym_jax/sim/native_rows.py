@@ -191,10 +191,10 @@ class NativeRows:
     # -- one environment -------------------------------------------------------------------------
 
     def reset_one(self, key: np.ndarray) -> State:
-        """A new episode from a raw key (2,)."""
+        """A new episode from a PRNG key, typed or raw."""
         slot = self.physics.alone
         with slot.lock:
-            fields = self.reset(slot, np.asarray(key)[None])
+            fields = self.reset(slot, np.asarray(raw_key(key))[None])  # pyrefly: ignore
         return State(info={}, **jax.tree.map(lambda x: x[0], fields))
 
     def reset_one_where(self, state: State, where: Any) -> State:

@@ -19,4 +19,6 @@ def hide_policies(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
         return asset_path("policies/none.npz" if hidden else name)
 
     monkeypatch.setattr(files, "asset_path", path)
-    monkeypatch.setattr(files, "shipped", lambda: [x for x in shipped() if x not in names])
+    monkeypatch.setattr(
+        files, "shipped", lambda memory=False: [x for x in shipped(memory) if x not in names]
+    )

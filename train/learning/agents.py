@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.types import UInt64
 
+from agym_jax.memory import MEMORY
 from agym_jax.policy.agents import Part, parts
 from agym_jax.policy.check import check_policy
 from agym_jax.policy.files import find_policy
@@ -269,8 +270,9 @@ def _make_agent(config: LearnConfig, env: Any, name: str) -> Agent:
     frozen = getattr(config, f"freeze_{name}", False)
     start = None
     if path is not None:
-        if path == SHIPPED or path in shipped():
-            path = find_policy(static_id(env.name) if path == SHIPPED else path)
+        memory = bool(getattr(env, MEMORY, ()))
+        if path == SHIPPED or path in shipped(memory):
+            path = find_policy(static_id(env.name) if path == SHIPPED else path, memory=memory)
         start = read_policy(path)
         check_policy(start, env, path, agent=name, other_people=True, other_settings=not frozen)
         arch = replace(start.arch, value_hidden=arch.value_hidden)

@@ -37,7 +37,7 @@ def _usual(folder: Path) -> dict[str, Line]:
     return {x["env"]: x for x in lines if x["policy"] == "mode"}
 
 
-def _lines(folder: Path) -> list[Line]:
+def among_everybody(folder: Path) -> list[Line]:
     """Results among people of every size; ``former`` is what is said of a policy that does not ship any more."""
     usual = _usual(folder)
 
@@ -53,7 +53,7 @@ def _large_groups(line: Line) -> list[Line]:
     return [x for x in line["groups"] if x["episodes"] >= LEAST]
 
 
-def _group(line: Line, of: str) -> str:
+def worst_group(line: Line, of: str) -> str:
     """The group of people with the least of something, and how much it is."""
     found = min(_large_groups(line), key=itemgetter(of))
     return f"{found[of]:.0%} ({found['name']})"
@@ -61,7 +61,7 @@ def _group(line: Line, of: str) -> str:
 
 def glance(folder: Path = RESULTS) -> str:
     """How many of 100 people of every size each robot helps, how gently, and whom least often; a row for each task."""
-    lines = [x for x in _lines(folder) if not parse(x["env"]).active]
+    lines = [x for x in among_everybody(folder) if not parse(x["env"]).active]
     sign = mark(lines)
     rows = [
         {"task": task, "lines": of}
@@ -107,16 +107,16 @@ def everybody(folder: Path = RESULTS) -> str:
         "episodes": lambda x: f"{x['episodes']:,}",
         "Assistive Gym's two bodies": usual,
         "every size": lambda x: f"{x['success']:.1%}{x['former']}",
-        "worst group": lambda x: _group(x, "success"),
+        "worst group": lambda x: worst_group(x, "success"),
         "gently": lambda x: f"{x['gentle_success']:.1%}",
-        "worst group, gently": lambda x: _group(x, "gentle_success"),
+        "worst group, gently": lambda x: worst_group(x, "gentle_success"),
     }
-    return table(_lines(folder), columns, ORDER, "Mode;")
+    return table(among_everybody(folder), columns, ORDER, "Mode;")
 
 
 def shortfalls(folder: Path = RESULTS) -> str:
     """Environments below their goal: how often the task fails, how often it is done roughly, for whom, and where."""
-    every_size = {x["env"]: x for x in _lines(folder)}
+    every_size = {x["env"]: x for x in among_everybody(folder)}
     robots = [x for name, x in _usual(folder).items() if name in every_size]
     pairs = [
         x
@@ -132,7 +132,7 @@ def shortfalls(folder: Path = RESULTS) -> str:
 
     def elsewhere(line: Line) -> str:
         every = every_size.get(line["env"])
-        return _group(every, "success") + every["former"] if every else ""
+        return worst_group(every, "success") + every["former"] if every else ""
 
     def region(line: Line) -> str:
         found = line["region_over_comfort"]
@@ -144,7 +144,7 @@ def shortfalls(folder: Path = RESULTS) -> str:
         "gentle success": percent("gentle_success"),
         "fails": lambda x: f"{1 - x['success']:.1%}",
         "done, but not gently": lambda x: f"{x['success'] - x['gentle_success']:.1%}",
-        "helped least often": lambda x: _group(x, "success"),
+        "helped least often": lambda x: worst_group(x, "success"),
         "helped least often, every size": elsewhere,
         "region most often above its comfort limit": region,
     }
@@ -159,7 +159,7 @@ def care(folder: Path = RESULTS) -> str:
         "at the end of the episode, mean": lambda x: _how_far(x) + x["former"],
         "time to success, median": lambda x: f"{x['time_to_success']:.1f} s",
     }
-    return table(_lines(folder), columns, ORDER, "Mode;")
+    return table(among_everybody(folder), columns, ORDER, "Mode;")
 
 
 def limits(folder: Path = RESULTS) -> str:

@@ -6,7 +6,8 @@ over other people are kept. The chosen policy replaces the one that ships where 
 larger and at most 5 of 100 successes are lost, over the same people in
 the same physics if ``select`` measured both; where none ships, from ``--least`` on. Choice and limit of runs under a cost limit are in ``results/gentle.jsonl``.
 Of runs that began with a policy (``--robot-policy``; of pairs, ``--human-policy`` too), the choice is in ``results/continued.jsonl``. What training both
-of these were is in ``results/continued_training.jsonl``. With ``--suite``, all runs are kept in ``results/suite.jsonl``, as those of one command. Then the tables and the picture of the curves are made anew.
+of these were is in ``results/continued_training.jsonl``. Runs with a memory (``--memory``) are kept in
+``results/memory.jsonl``; their policies ship in a folder of their own, if they are better than those without. With ``--suite``, all runs are kept in ``results/suite.jsonl``, as those of one command. Then the tables and the picture of the curves are made anew.
 Collecting the same runs again changes nothing.
 """
 
@@ -25,6 +26,7 @@ import tyro
 from agym_jax.changes import flags_of
 from agym_jax.data.npz import write_file
 from agym_jax.errors import AgymError
+from agym_jax.memory import MEMORY
 from agym_jax.policy.files import FILE_NAMES
 from agym_jax.policy.policy import read_policy, save_policy
 from agym_jax.registry import parse
@@ -78,12 +80,19 @@ class Found:
         choice: line of ``select``.
         training: from ``training_summary``.
         suite: from ``whole_suite``, if it is kept as one of a suite.
+        memory: of its policies [s], see ``agym_jax.memory``.
     """
 
     run: Path
     choice: Line
     training: Line
     suite: Line | None = None
+    memory: tuple[float, ...] = ()
+
+    @property
+    def ships_in(self) -> Path:
+        """Folder of the policies that ship, among which its own would be."""
+        return POLICIES / "memory" if self.memory else POLICIES
 
     @property
     def gentle(self) -> bool:
@@ -118,7 +127,9 @@ def find(config: CollectConfig) -> list[Found]:
     for run in sorted(folders, key=lambda path: path.name):
         choice, training = selection_of(run), training_summary(run)
         if choice and training and (not config.only or any(x in run.name for x in config.only)):
-            if changes := choice.get("changes"):
+            changes = dict(choice.get("changes") or {})
+            memory = tuple(changes.pop(MEMORY, ()))
+            if changes:
                 raise CollectError(
                     f"{run} was trained with other settings than its id's ({flags_of(changes)}). Tables and what ships are of "
                     f"the ids as they are. Take it out of the folder, or name the others with --only."
@@ -137,7 +148,7 @@ def find(config: CollectConfig) -> list[Found]:
                 "training_time": training["time"], "num_env_steps": training["num_env_steps"],
                 "num_envs": training["num_envs"], "commit": commit,
             }  # fmt: skip
-            found.append(Found(run, choice | about, training, wholes.get(run.parent)))
+            found.append(Found(run, choice | about, training, wholes.get(run.parent), memory))
     if unknown := {*config.ship, *config.keep} - {x.run.name for x in found}:
         there = ", ".join(x.run.name for x in found) or "none"
         raise CollectError(
@@ -245,9 +256,12 @@ def decide(found: Found, least: float, replaced: bool = False) -> tuple[bool, st
     name, ours = found.run.name, reported(found.choice)
     if ours["overflow"] or found.choice["overflow"]:
         return False, "contacts were lost: not a result"
-    if not (POLICIES / f"{name}.npz").is_file():
+    ships = (found.ships_in / f"{name}.npz").is_file()
+    if not ships and not found.memory:
         return ours["success"] >= least, f"none ships, at least {least:.0%} wanted"
     theirs, where = found.choice.get("shipped"), "the same people"
+    if not ships:
+        theirs, where = recorded().get(name), "the recorded evaluation of the one without a memory"
     if replaced:
         theirs, where = recorded().get(name), "its recorded evaluation"
     elif found.choice.get("shipped_unfit"):
@@ -275,7 +289,7 @@ def ship(found: Found) -> Line:
         CollectError: a file is too large, or of another environment.
     """
     name, info = found.run.name, {}
-    for agent, target in (("human", POLICIES / "human"), ("robot", POLICIES)):
+    for agent, target in (("human", found.ships_in / "human"), ("robot", found.ships_in)):
         source = found.run / FILE_NAMES[agent]
         if agent == "human" and not parse(name).active:
             continue
@@ -307,7 +321,10 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
         ships, why = False, f"--keep; {why}"
     if not config.dry:
         about = {name: found.training[name] for name in ABOUT}
-        if found.suite:
+        if found.memory:
+            training = {name: x for name, x in found.training.items() if name != "curve"}
+            put("memory", {**choice, **about, "training": training}, ("env", "time"))
+        elif found.suite:
             training = {name: x for name, x in found.training.items() if name != "curve"}
             line = {**choice, "training": training, "suite": found.suite}
             put("suite", line, ("env", "time"))
@@ -321,9 +338,12 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
         summary = reported(choice)
         if ships:
             info = ship(found)
-        elif (POLICIES / f"{name}.npz").is_file() and choice.get("shipped") and not replaced:
-            summary, info = choice["shipped"], dict(read_policy(POLICIES / f"{name}.npz").info)
-        if info:
+        elif (found.ships_in / f"{name}.npz").is_file() and choice.get("shipped") and not replaced:
+            summary, info = (
+                choice["shipped"],
+                dict(read_policy(found.ships_in / f"{name}.npz").info),
+            )
+        if info and not found.memory:
             put(*evaluation(found, summary, info), ("env", "time", "policy", "human_policy"))
     low, high = choice["success_iqm_low"], choice["success_iqm_high"]
     verb = "ships now" if ships else "does not ship"

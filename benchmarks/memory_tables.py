@@ -41,7 +41,7 @@ def trainings(folder: Path = RESULTS) -> str:
         return NOTHING
     without = _without(folder)
     columns = {
-        "environment": itemgetter("env"),
+        "environment": lambda x: x["env"] + (" ‡" if "code" in x else ""),
         "memory [s]": _times,
         "seeds x steps": lambda x: _steps(x, len(x["seeds"])),
         "success of each seed [%]": _each,
@@ -55,15 +55,16 @@ def trainings(folder: Path = RESULTS) -> str:
     }
     episodes = several(f"{x['episodes']:,}" for x in lines)
     order = lambda x: (x["env"], -len(x["seeds"]), x["time"])  # noqa: E731
-    return table(lines, columns, order, f"{episodes} episodes of each seed, mode;")
+    return table(lines, columns, order, f"{episodes} episodes of each seed, mode; ‡ by a prototype with the same averages;")
 
 
 def _without(folder: Path) -> dict[str, list[Line]]:
-    """Environment -> the newest choices without a memory, of the suite and of a training of its own."""
+    """Environment -> the newest choices without a memory, of the suite and of a training of its own, with the settings of the id."""
     found: dict[str, list[Line]] = {}
     for name in ("suite", "selection"):
         for line in read_results(name, ("env",), folder):
-            found.setdefault(line["env"], []).append(line)
+            if not line.get("trained_with"):
+                found.setdefault(line["env"], []).append(line)
     return {env: sorted(lines, key=itemgetter("num_env_steps")) for env, lines in found.items()}
 
 

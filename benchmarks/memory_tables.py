@@ -55,7 +55,12 @@ def trainings(folder: Path = RESULTS) -> str:
     }
     episodes = several(f"{x['episodes']:,}" for x in lines)
     order = lambda x: (x["env"], -len(x["seeds"]), x["time"])  # noqa: E731
-    return table(lines, columns, order, f"{episodes} episodes of each seed, mode; ‡ by a prototype with the same averages;")
+    return table(
+        lines,
+        columns,
+        order,
+        f"{episodes} episodes of each seed, mode; ‡ by a prototype with the same averages;",
+    )
 
 
 def _without(folder: Path) -> dict[str, list[Line]]:

@@ -14,9 +14,11 @@ import pytest
 import agym_jax
 from agym_jax import observe
 from agym_jax.changes import arguments_of, flags_of
-from agym_jax.errors import ArgumentError, PolicyEnvironmentError
+from agym_jax.errors import ArgumentError, PolicyEnvironmentError, PolicyNotFoundError
 from agym_jax.memory import checked_memory, with_memory
 from agym_jax.policy import load_policy, save_policy
+from agym_jax.policy.files import find_policies
+from agym_jax.policy.policy import shipped
 from agym_jax.tasks import TASKS
 from agym_jax.wrappers import vectorize
 from benchmarks import in_assistive_gym
@@ -151,6 +153,24 @@ def test_a_policy_needs_the_memory_that_it_was_trained_with(tmp_path):
     path = save_policy(tmp_path / "p.npz", dataclasses.replace(plain, info=info))
     with pytest.raises(PolicyEnvironmentError, match=r"--memory 0.3 4 .*memory=\(0.3, 4.0\)\)"):
         load_policy(path, make(ALONE))
+
+
+@pytest.mark.parametrize("name", shipped(memory=True))
+def test_what_ships_with_a_memory_is_used_where_the_environment_has_it(name):
+    env, plain = make(name, memory=TIMES), make(name)
+    policy, without = agym_jax.load_policy(name, env), agym_jax.load_policy(name, plain)
+    assert policy.info["changes"] == {"memory": list(TIMES)} and not without.info["changes"]
+    assert policy.arch.observation_size == 3 * without.arch.observation_size
+    assert find_policies(name, memory=True).robot.endswith(f"policies/memory/{name}.npz")
+    state = jax.eval_shape(agym_jax.make(name, impl="jax", memory=TIMES).reset, KEY)
+    assert jax.eval_shape(policy, state.obs).shape == (env.action_size,)
+
+
+def test_where_no_policy_with_a_memory_ships_that_is_said():
+    with pytest.raises(PolicyNotFoundError, match=r"no policy with a memory .*--memory 0.3 4$"):
+        agym_jax.load_policy(ALONE, make(ALONE, memory=TIMES))
+    with pytest.raises(PolicyEnvironmentError, match=r"Make the environment with --memory 0.3 4 "):
+        agym_jax.load_policy("BedBathingJaco-v0", make("BedBathingJaco-v0", memory=(2.0,)))
 
 
 def test_in_assistive_gym_a_policy_is_shown_the_same_averages(episode):

@@ -278,6 +278,27 @@ def test_a_run_of_other_settings_becomes_no_result(runs, repository, capsys):
     assert not list((repository / "results").iterdir())
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("plain", "ships"), [(0.5, True), (0.7, False), (None, True)])
+def test_policies_with_a_memory_ship_beside_those_without(plain, ships, runs, repository):
+    if plain is not None:
+        figures = {"success": plain, "gentle_success": 0.0, "time": "2027-01-01T00:00:00"}
+        row = {"env": ALONE, "policy": "mode", **figures}
+        (repository / "results" / "evaluation.jsonl").write_text(json.dumps(row))
+        (repository / "policies" / f"{ALONE}.npz").write_bytes(b"the one without")
+    reported = {"success": 0.6, "gentle_success": 0.0, "overflow": 0, "env": ALONE, "episodes": 16}
+    fields = {"changes": {"memory": [0.3, 4.0]}, "reported": reported, "shipped": None}
+    assert collected(runs, ("", ""), **fields)[0] == ships
+    (line,) = lines(repository, "memory")
+    assert line["changes"] == {"memory": [0.3, 4.0]} and line["training"]["num_seeds"] == 2
+    assert not lines(repository, "selection") and "curve" not in line["training"]
+    file = Path("policies", "memory", f"{ALONE}.npz")
+    assert (repository / file).is_file() == ships
+    if plain is not None:
+        assert (repository / "policies" / f"{ALONE}.npz").read_bytes() == b"the one without"
+    assert len(lines(repository, "evaluation")) == (plain is not None)
+
+
 def test_tables_leave_out_results_of_other_settings(tmp_path):
     usual = {"env": ALONE, "success": 0.9, "overflow": 0}
     others = [{"changes": {"episode_length": 50}}, {"other_than_in_training": "x"}]

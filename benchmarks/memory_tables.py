@@ -96,14 +96,14 @@ def policies(folder: Path = RESULTS) -> str:
     for name in names:
         info = read_npz(asset_root() / shipped_folder(memory=True) / f"{name}.npz")[1]
         here = next(x for x in results["here"] if _is_of(x, name, info))
-        every = next(x for x in results["every size"] if x["env"] == name)
+        every = next((x for x in results["every size"] if x["env"] == name), None)
         there = next((x for x in results["there"] if x["env"] == name), None)
-        used += [here, every, *([there] if there else [])]
+        used += [x for x in (here, every, there) if x]
         rows.append([
             name, _times(here),
             _both(plain["here"][name], here["reported"]),
-            _both(plain["every size"][name], every),
-            f"{worst_group(plain['every size'][name], 'success')} -> {worst_group(every, 'success')}",
+            _both(plain["every size"][name], every) if every else "",
+            _worst(plain["every size"][name], every) if every else "",
             _forces(plain["here"][name], here["reported"]),
             f"{_of(plain['there'][name])} -> {_of(there)}" if there else "",
         ])  # fmt: skip
@@ -122,6 +122,10 @@ def _is_of(line: Line, name: str, info: Line) -> bool:
 def _both(before: Line, after: Line) -> str:
     told = [f"{share(x['success'])}, {share(x['gentle_success'])}" for x in (before, after)]
     return " -> ".join(told)
+
+
+def _worst(before: Line, after: Line) -> str:
+    return " -> ".join(worst_group(x, "success") for x in (before, after))
 
 
 def _forces(before: Line, after: Line) -> str:

@@ -172,17 +172,29 @@ def list_ids(argv: Sequence[str] | None = None, prog: str = "agym-jax list") -> 
 
 def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax observe") -> int:
     """Print an environment's observation tables and its actions, and return the exit status."""
-    recipe = _recipe(argv, prog, "Print an environment's observations and actions.")
+    parser = _parser(prog, "Print an environment's observations and actions.")
+    parser.add_argument(
+        "--memory", type=float, nargs="+", metavar="T", help="time constants of averages in the observation [s]"
+    )  # fmt: skip
+    args = parser.parse_args(argv)
+    recipe = _recipe(args.id)
     if recipe is None:
         return 2
     from agym_jax import observe
+    from agym_jax.memory import checked_memory, with_memory
     from agym_jax.policy.contract import acting_joints, action_meaning
 
     task = recipe.task
+    try:
+        memory = checked_memory(args.memory, task.control.period)
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
     records = {"robot": task.robot_obs}
     if recipe.active:
         records["human"] = task.human_obs
-    for agent, record in records.items():
+    for agent, plain in records.items():
+        record = with_memory(plain, memory)
         joints = acting_joints(recipe.robot, task, agent)
         print(f"{agent.title()}: {observe.size(record)} columns\n\n{observe.table(record)}\n")
         print(
@@ -194,7 +206,8 @@ def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax o
 
 def show_settings(argv: Sequence[str] | None = None, prog: str = "agym-jax settings") -> int:
     """Print the settings that ``agym_jax.make`` can change and return the exit status."""
-    recipe = _recipe(argv, prog, "Print the settings of an environment that can be changed.")
+    parser = _parser(prog, "Print the settings of an environment that can be changed.")
+    recipe = _recipe(parser.parse_args(argv).id)
     if recipe is None:
         return 2
     from agym_jax.changes import settings_table, settings_tables
@@ -204,11 +217,15 @@ def show_settings(argv: Sequence[str] | None = None, prog: str = "agym-jax setti
     return 0
 
 
-def _recipe(argv: Sequence[str] | None, prog: str, description: str) -> Recipe | None:
-    """Parse the id in the command-line arguments; print an error and return None if there is no such id."""
+def _parser(prog: str, description: str) -> argparse.ArgumentParser:
+    """Make a parser of command-line arguments that name an id."""
     parser = argparse.ArgumentParser(prog=prog, description=description)
     parser.add_argument("id", help="environment id, such as ScratchItchJaco-v0")
-    name = parser.parse_args(argv).id
+    return parser
+
+
+def _recipe(name: str) -> Recipe | None:
+    """Parse an id; print an error and return None if there is none such."""
     from agym_jax.registry import parse
 
     try:

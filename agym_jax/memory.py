@@ -26,6 +26,8 @@ MEMORY = "memory"
 """Name of the setting."""
 Memory = tuple[float, ...]
 """Time constants of the averages [s]; empty without memory."""
+SHIPPED: Memory = (0.3, 4.0)
+"""That of the shipped policies that have one."""
 Averages = tuple[jax.Array, ...]
 """Of the observation of each agent, in order    (memory, n_obs) each."""
 
@@ -47,15 +49,17 @@ def checked_memory(memory: Any, period: float) -> Memory:
         period: length of a control step [s].
 
     Raises:
-        ArgumentError: if they are not different finite numbers, each at least as long as two control steps.
+        ArgumentError: if they are not finite numbers that differ by a millisecond or more, each at least as long as two
+            control steps.
     """
     given = () if memory is None else memory
     real = isinstance(given, Sequence) and not isinstance(given, str)
     real = real and all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in given)
-    if not real or not all(2 * period <= x < math.inf for x in given) or len({*given}) < len(given):
+    long = real and all(2 * period <= x < math.inf for x in given)
+    if not long or len({_mean_over(x) for x in given}) < len(given):
         raise ArgumentError(
-            f"memory must be a tuple of different time constants in seconds, such as (0.3, 4.0), each at least {2 * period:g} s "
-            f"(two control steps), got {memory!r}."
+            f"memory must be a tuple of different time constants in seconds, such as {SHIPPED}, each at least {2 * period:g} s "
+            f"(two control steps) and a millisecond apart, got {memory!r}."
         )
     return tuple(sorted(map(float, given)))
 
@@ -81,7 +85,7 @@ def with_memory(record: type, memory: Memory) -> type:
 
 def _mean_over(time: float) -> tuple[str, str]:
     """Return what is added to the name and to the frame of a column whose average is taken over a time [s]."""
-    return f"_mean_{1000 * time:.0f}ms", f"; mean over some {time:g} s"
+    return f"_mean_{1000 * time:.0f}ms", f"; mean over some {round(time, 3):g} s"
 
 
 def remember(

@@ -26,7 +26,7 @@ import tyro
 from agym_jax.changes import flags_of
 from agym_jax.data.npz import write_file
 from agym_jax.errors import AgymError
-from agym_jax.memory import MEMORY
+from agym_jax.memory import MEMORY, SHIPPED
 from agym_jax.policy.files import FILE_NAMES
 from agym_jax.policy.policy import read_policy, save_policy
 from agym_jax.registry import parse
@@ -93,6 +93,22 @@ class Found:
     def ships_in(self) -> Path:
         """Folder of the policies that ship, among which its own would be."""
         return POLICIES / "memory" if self.memory else POLICIES
+
+    @property
+    def file(self) -> Path:
+        """Of the policy that ships."""
+        return self.ships_in / f"{self.run.name}.npz"
+
+    @property
+    def recorded(self) -> Line | None:
+        """What is recorded of the policy that ships."""
+        if not self.memory:
+            return recorded().get(self.run.name)
+        info = read_policy(self.file).info
+        training = (self.run.name, info.get("commit"), info.get("seed"))
+        rows = read_rows(RESULTS / "memory.jsonl")
+        known = [x for x in rows if (x["env"], x["policy_commit"], x["chosen"]) == training]
+        return known[-1]["reported"] | {"time": known[-1]["time"]} if known else None
 
     @property
     def gentle(self) -> bool:
@@ -256,18 +272,17 @@ def decide(found: Found, least: float, replaced: bool = False) -> tuple[bool, st
     name, ours = found.run.name, reported(found.choice)
     if ours["overflow"] or found.choice["overflow"]:
         return False, "contacts were lost: not a result"
-    ships = (found.ships_in / f"{name}.npz").is_file()
-    if not ships and not found.memory:
+    if found.memory not in ((), SHIPPED):
+        return False, f"policies with a memory ship with {SHIPPED} alone"
+    if not found.memory and not found.file.is_file():
         return ours["success"] >= least, f"none ships, at least {least:.0%} wanted"
     theirs, where = found.choice.get("shipped"), "the same people"
-    if not ships:
+    if found.memory and not found.file.is_file():
         theirs, where = recorded().get(name), "the recorded evaluation of the one without a memory"
-    if replaced:
-        theirs, where = recorded().get(name), "its recorded evaluation"
-    elif found.choice.get("shipped_unfit"):
+    elif found.choice.get("shipped_unfit") and not replaced:
         return ours["success"] >= least, "what ships fits no more"
-    if not theirs:
-        theirs, where = recorded().get(name), "its recorded evaluation"
+    elif replaced or not theirs:
+        theirs, where = found.recorded, "its recorded evaluation"
     if not theirs:
         return ours["success"] >= least, "what ships was never measured"
     if is_earlier(theirs):
@@ -338,10 +353,10 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
         summary = reported(choice)
         if ships:
             info = ship(found)
-        elif (found.ships_in / f"{name}.npz").is_file() and choice.get("shipped") and not replaced:
+        elif found.file.is_file() and choice.get("shipped") and not replaced:
             summary, info = (
                 choice["shipped"],
-                dict(read_policy(found.ships_in / f"{name}.npz").info),
+                dict(read_policy(found.file).info),
             )
         if info and not found.memory:
             put(*evaluation(found, summary, info), ("env", "time", "policy", "human_policy"))

@@ -319,9 +319,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "force": float(np.mean([x.forces[0] for x in found])),
             "time": datetime.now(UTC).isoformat(timespec="seconds"),
         }  # fmt: skip
-        changed = {"bed_rolling": given.bed_rolling, "smooth_bed": given.smooth_bed or None}
-        if memory:
-            line["memory"] = memory
+        changed = {"bed_rolling": given.bed_rolling, "smooth_bed": given.smooth_bed or None, "memory": memory or None}  # fmt: skip
         if changes := {name: x for name, x in changed.items() if x is not None}:
             line["changes"] = changes
         with given.json.open("a") as file:

@@ -9,7 +9,17 @@ from agym_jax.data.assets import asset_root
 from agym_jax.data.npz import read_npz
 from agym_jax.policy.policy import shipped, shipped_folder
 from benchmarks.care_tables import among_everybody, worst_group
-from benchmarks.markdown import NOTHING, RESULTS, Line, grid, read_results, several, table
+from benchmarks.markdown import (
+    EARLIER,
+    NOTHING,
+    RESULTS,
+    Line,
+    grid,
+    mark,
+    read_results,
+    several,
+    table,
+)
 from train.runs.overview import share
 
 
@@ -40,6 +50,7 @@ def trainings(folder: Path = RESULTS) -> str:
     if not lines:
         return NOTHING
     without = _without(folder)
+    sign = mark([*lines, *(y for of in without.values() for y in of)])
     columns = {
         "environment": lambda x: x["env"] + (" ‡" if "code" in x else ""),
         "memory [s]": _times,
@@ -50,7 +61,8 @@ def trainings(folder: Path = RESULTS) -> str:
             f"{x['chosen']}: {share(x['reported']['success'])}, gently {share(x['reported']['gentle_success'])}"
         ),
         "without memory: seeds x steps, worst, interquartile mean": lambda x: "; ".join(
-            f"{_steps(y, len(y['seeds']))}: {_worst_and_mean(y)}" for y in without.get(x["env"], ())
+            f"{_steps(y, len(y['seeds']))}{sign(y)}: {_worst_and_mean(y)}"
+            for y in without.get(x["env"], ())
         ),
     }
     episodes = several(f"{x['episodes']:,}" for x in lines)
@@ -59,7 +71,7 @@ def trainings(folder: Path = RESULTS) -> str:
         lines,
         columns,
         order,
-        f"{episodes} episodes of each seed, mode; ‡ by a prototype with the same averages;",
+        f"{episodes} episodes of each seed, mode; ‡ by a prototype with the same averages; {EARLIER} measured before the present physics;",
     )
 
 
@@ -81,7 +93,7 @@ def policies(folder: Path = RESULTS) -> str:
     results = {
         "here": _runs(folder),
         "every size": read_results("memory_everybody", ("env",), folder, changed=True),
-        "there": read_results("memory_in_assistive_gym", ("env",), folder),
+        "there": read_results("memory_in_assistive_gym", ("env",), folder, changed=True),
     }
     plain = {
         "here": {

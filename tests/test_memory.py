@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -12,16 +14,19 @@ import numpy as np
 import pytest
 
 import agym_jax
+from agym_jax import __main__ as cli
 from agym_jax import observe
 from agym_jax.changes import arguments_of, flags_of
 from agym_jax.errors import ArgumentError, PolicyEnvironmentError, PolicyNotFoundError
 from agym_jax.memory import checked_memory, with_memory
 from agym_jax.policy import load_policy, save_policy
+from agym_jax.policy.export import choose_policy
 from agym_jax.policy.files import find_policies
 from agym_jax.policy.policy import shipped
 from agym_jax.tasks import TASKS
 from agym_jax.wrappers import vectorize
 from benchmarks import in_assistive_gym
+from train import evaluate
 
 PAIR, ALONE = "ReachingSawyerHuman-v0", "ReachingSawyer-v0"
 TIMES = (0.3, 4.0)
@@ -120,7 +125,7 @@ def test_shapes_are_those_that_the_environment_states(impl):
 
 
 @pytest.mark.parametrize(
-    "memory", ["4", 4.0, (0.0,), (-1.0,), (0.1,), (float("nan"),), (float("inf"),), (1.0, 1.0), (True,), ("4",)]
+    "memory", ["4", 4.0, (0.0,), (-1.0,), (0.1,), (float("nan"),), (float("inf"),), (1.0, 1.0), (1.0, 1.0003), (True,), ("4",)]
 )  # fmt: skip
 def test_what_is_no_memory_is_refused(memory):
     with pytest.raises(ArgumentError, match="memory must be a tuple of different time constants"):
@@ -159,17 +164,40 @@ def test_a_policy_needs_the_memory_that_it_was_trained_with(tmp_path):
 def test_what_ships_with_a_memory_is_used_where_the_environment_has_it(name):
     env, plain = make(name, memory=TIMES), make(name)
     policy, without = agym_jax.load_policy(name, env), agym_jax.load_policy(name, plain)
-    assert policy.info["changes"] == {"memory": list(TIMES)} and not without.info["changes"]
+    assert (
+        policy.info["changes"] == {"memory": list(TIMES)}
+        and "memory" not in without.info["changes"]
+    )
     assert policy.arch.observation_size == 3 * without.arch.observation_size
-    assert find_policies(name, memory=True).robot.endswith(f"policies/memory/{name}.npz")
+    assert find_policies(name, memory=TIMES).robot.endswith(f"policies/memory/{name}.npz")
     state = jax.eval_shape(agym_jax.make(name, impl="jax", memory=TIMES).reset, KEY)
     assert jax.eval_shape(policy, state.obs).shape == (env.action_size,)
 
 
+def test_commands_take_the_memory_from_the_policy(tmp_path, capsys):
+    words = ["--env-name", "BedBathingJaco-v0", "--num-episodes", "1", "--impl", "native"]
+    words += ["--episode-length", "2", "--json", str(tmp_path / "line.jsonl")]
+    file = str(find_policies("BedBathingJaco-v0", memory=TIMES).robot)
+    assert evaluate.main([*words, "--policy", file]) == 0
+    line = json.loads((tmp_path / "line.jsonl").read_text())
+    assert line["changes"] == {"memory": list(TIMES), "episode_length": 2}
+    assert evaluate.main([*words, "--policy", file, "--memory", "2"]) == 2
+    assert "Make the environment with --memory 0.3 4 " in capsys.readouterr().err
+    assert cli.main(["observe", "BedBathingJaco-v0", "--memory", "0.3", "4"]) == 0
+    assert "tool_force_mean_4000ms" in capsys.readouterr().out
+    assert cli.main(["observe", "BedBathingJaco-v0", "--memory", "0"]) == 2
+    assert choose_policy("BedBathingJaco-v0", memory=TIMES) == Path(file)
+
+
 def test_where_no_policy_with_a_memory_ships_that_is_said():
-    with pytest.raises(PolicyNotFoundError, match=r"no policy with a memory .*--memory 0.3 4$"):
+    with pytest.raises(
+        PolicyNotFoundError,
+        match=r"the memory \(0.3, 4.0\) for .*Without a memory, one does.*--memory 0.3 4$",
+    ):
         agym_jax.load_policy(ALONE, make(ALONE, memory=TIMES))
-    with pytest.raises(PolicyEnvironmentError, match=r"Make the environment with --memory 0.3 4 "):
+    with pytest.raises(
+        PolicyNotFoundError, match=r"With \(0.3, 4.0\), policies ship for BedBathing"
+    ):
         agym_jax.load_policy("BedBathingJaco-v0", make("BedBathingJaco-v0", memory=(2.0,)))
 
 

@@ -30,7 +30,7 @@ from agym_jax.rendering.meshes import check_visuals
 from agym_jax.rendering.render import check_backend
 from agym_jax.sim.pictures import check_camera
 
-from .envs import jit_functions, make_env
+from .envs import jit_functions, make_env, make_for
 from .errors import ConfigError, reports_errors
 from .learning.rollout import COMFORT_KEY, FORCE_KEY
 from .runs.progress import LINE_PERIOD
@@ -346,7 +346,8 @@ def main(
         config.env_name, config.impl, **config.options()
     )  # first: it knows which ids there are
     asked = (config.load_dir, config.policy, config.human_policy)
-    files = find_policies(config.env_name, *asked, memory=bool(config.memory))
+    files = find_policies(config.env_name, *asked, memory=config.memory)
+    env = make_for(files.robot, env, make, config, config.impl)
     if config.visuals != "primitives":  # before anything is compiled
         check_visuals(config.visuals, env.robot)
     policy = load_policies(files, env, config.any_env, other_people=True)

@@ -7,6 +7,8 @@ from typing import Any
 
 import jax
 
+from agym_jax.flags import PolicyFlags
+from agym_jax.policy.check import memory_of
 from agym_jax.registry import active_id, static_id
 
 from .errors import ActiveHumanError
@@ -24,6 +26,24 @@ def make_env(env_name: str, impl: str = "auto", **options: Any) -> Any:
     from agym_jax.sim.physics import choose_impl
 
     return agym_jax.make(env_name, impl=choose_impl(impl, traced=False), **options)
+
+
+def make_for(
+    policy: str, env: Any, make: Callable[..., Any], config: PolicyFlags, impl: str
+) -> Any:
+    """Return the environment in which a policy is run: ``env``, or the same with the policy's memory where the flags name none.
+
+    Args:
+        policy: file of the policy, or name of a baseline.
+        env: environment made of the flags.
+        make: makes environments, as ``make_env`` does.
+        config: the flags.
+        impl: physics.
+    """
+    memory = () if config.memory else memory_of(policy)
+    if not memory:
+        return env
+    return make(config.env_name, impl, **config.options(), memory=memory)
 
 
 def changed(env: Any) -> dict[str, Any]:

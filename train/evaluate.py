@@ -21,7 +21,7 @@ from agym_jax.policy.agents import BASELINES, AnyPolicy, baseline_policy
 from agym_jax.policy.check import trained_otherwise
 from agym_jax.policy.files import find_policies, load_policies
 
-from .envs import changed, make_env
+from .envs import changed, make_env, make_for
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
@@ -96,7 +96,8 @@ def main(
         config.env_name, config.impl, **config.options()
     )  # first: it knows which ids there are
     asked = (config.load_dir, config.policy, config.human_policy)
-    files = find_policies(config.env_name, *asked, memory=bool(config.memory))
+    files = find_policies(config.env_name, *asked, memory=config.memory)
+    env = make_for(files.robot, env, make, config, config.impl)
     policy = load_policies(files, env, config.any_env, other_people=True)
     print(f"Policy: {', '.join(x for x in (files.robot, files.human) if x)}", flush=True)
     result = evaluate(

@@ -62,8 +62,8 @@ class SelectConfig:
     """What the best seed has most of: successes, gentle successes, or the sum of both; "auto": gentle successes if the run had a
     --cost-limit, else successes."""
     default_settings: bool = False
-    """Evaluate in the environment with its default settings, regardless of those of the training, and mark the chosen policy as
-    meant for it. For runs that were trained with more varied people or robots than the environment has."""
+    """Evaluate in the environment with its default settings, regardless of those of the training except its memory, and mark the
+    chosen policy as meant for it. For runs that were trained with more varied people or robots than the environment has."""
     shipped: bool = True
     """Also evaluate the policy that ships with agym_jax, if there is one, on the same people as the chosen one."""
     impl: str = "auto"
@@ -94,7 +94,7 @@ def seed_folders(run: Path) -> dict[int, Path]:
 def load_seeds(
     run: Path, make: Callable[..., Any], impl: str, default_settings: bool = False
 ) -> tuple[Any, dict[int, AnyPolicy]]:
-    """Return the environment of a run, with its training settings or the default ones, and the policy of each of its seeds.
+    """Return the environment of a run, with its training settings or the default ones and its memory, and the policy of each of its seeds.
 
     Raises:
         PolicyNotFoundError: if there are no policies.
@@ -154,7 +154,7 @@ def measure_shipped(
 ) -> tuple[EvaluationResult | None, str]:
     """Evaluate the shipped policy on the people of the report; or return None and the reason, empty if none ships."""
     try:
-        memory = bool(getattr(evaluator.env, MEMORY, ()))
+        memory = getattr(evaluator.env, MEMORY, ())
         files = find_policies(evaluator.env.name, memory=memory)
     except PolicyNotFoundError:
         return None, ""

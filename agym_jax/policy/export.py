@@ -19,6 +19,7 @@ from typing import Any
 import agym_jax
 from agym_jax.data.npz import check_writable, write_file
 from agym_jax.errors import AgymError, ArgumentError, PolicyEnvironmentError, PolicyNotFoundError
+from agym_jax.memory import Memory
 from agym_jax.policy.agents import BASELINES
 from agym_jax.policy.check import check_policy, settings_for
 from agym_jax.policy.contract import contract
@@ -81,6 +82,7 @@ def choose_policy(
     load_dir: str | None = None,
     policy: str | None = None,
     agent: str | None = None,
+    memory: Memory = (),
 ) -> Path:
     """Return the file of the policy that the command line selects.
 
@@ -89,6 +91,7 @@ def choose_policy(
         load_dir: ``--save-dir`` of a training run.
         policy: a policy file, which takes precedence over ``load_dir``.
         agent: agent whose policy to export; None for the robot's, or for the agent of the given file.
+        memory: time constants [s] of the memory that a shipped policy is to have.
 
     Raises:
         PolicyNotFoundError: if there is no such policy.
@@ -102,7 +105,7 @@ def choose_policy(
         raise PolicyEnvironmentError(
             f"In {plain!r} the person holds still: there is no --agent {agent}. Use {active_id(plain)}."
         )
-    files = find_policies(env_id, load_dir, policy)
+    files = find_policies(env_id, load_dir, policy, memory=memory)
     if policy is not None or agent != "human":
         return Path(files.robot)
     if files.human is None:
@@ -124,13 +127,16 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax export") -> in
     parser.add_argument(
         "--agent", choices=AGENTS, help="agent whose policy to export, if the person acts too"
     )
+    parser.add_argument(
+        "--memory", type=float, nargs="+", default=(), metavar="T", help="memory of the shipped policy to export [s]"
+    )  # fmt: skip
     parser.add_argument("--precision", choices=PRECISIONS, default=PRECISIONS[0], help="of the computation; float32 for runtimes without float64")  # fmt: skip
     args = parser.parse_args(argv)
     try:
         import_onnx()
         path = checked_path(args.output)
         parse(args.id)
-        file = choose_policy(args.id, args.load_dir, args.policy, args.agent)
+        file = choose_policy(args.id, args.load_dir, args.policy, args.agent, args.memory)
         # no compiling: only names and sizes are read
         env = agym_jax.make(args.id, impl="native", **settings_for(file, args.id))
         policy = read_policy(file)

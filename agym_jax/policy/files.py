@@ -14,6 +14,7 @@ from agym_jax.errors import (
     PolicyNotFoundError,
     did_you_mean,
 )
+from agym_jax.memory import SHIPPED, Memory
 from agym_jax.policy.agents import BASELINES, Baseline, Pair, baseline_policy, parts
 from agym_jax.policy.check import check_policy, train_command
 from agym_jax.policy.policy import Policy, not_found, read_policy, shipped, shipped_folder
@@ -42,7 +43,7 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
     if is_path or (text not in shipped() and isdir(str(source))):
         files = _files_at(Path(source), None if env is None else env.name)
     else:
-        files = find_policies(text, memory=bool(getattr(env, "memory", ())))
+        files = find_policies(text, memory=getattr(env, "memory", ()))
     robot = read_policy(files.robot)
     human = None if files.human is None else read_policy(files.human)
     if env is not None:
@@ -108,7 +109,7 @@ def find_policy(
     env_name: str,
     load_dir: Path | str | None = None,
     policy: Path | str | None = None,
-    memory: bool = False,
+    memory: Memory = (),
 ) -> Path:
     """Return the policy file that the command-line tools select.
 
@@ -116,7 +117,7 @@ def find_policy(
         env_name: environment id.
         load_dir: ``--save-dir`` of a training run, or the run's own folder in it; selects ``<env>/policy.npz``.
         policy: a policy file, which takes precedence over ``load_dir``.
-        memory: whether a shipped policy is to have a memory.
+        memory: time constants [s] of the memory that a shipped policy is to have.
 
     Returns:
         The file; if neither folder nor file is given, the shipped policy of the environment.
@@ -139,14 +140,31 @@ def find_policy(
                 f"{did_you_mean(env_name, there)} {train} --save-dir {run.parent}"
             )
         return path
+    if memory:
+        return _with_memory(env_name, tuple(sorted(memory)), train)
     try:
-        return asset_path(f"{shipped_folder(memory)}/{env_name}.npz")
+        return asset_path(f"{shipped_folder()}/{env_name}.npz")
     except MissingAssetError:
-        what, flag = ("policy with a memory", " --memory 0.3 4") if memory else ("policy", "")
-        near = did_you_mean(env_name, shipped(memory))
         raise PolicyNotFoundError(
-            f"agym_jax ships no {what} for {env_name!r}. {near} {train}{flag}"
+            f"agym_jax ships no policy for {env_name!r}. {did_you_mean(env_name, shipped())} {train}"
         ) from None
+
+
+def _with_memory(env_name: str, memory: Memory, train: str) -> Path:
+    """Return the file of the shipped policy that has a memory.
+
+    Raises:
+        PolicyNotFoundError: if there is none; the message says which there are, and ends with the command that trains one.
+    """
+    there = shipped(memory=True)
+    if memory == SHIPPED and env_name in there:
+        return asset_path(f"{shipped_folder(memory=True)}/{env_name}.npz")
+    without = " Without a memory, one does." if env_name in shipped() else ""
+    times = " ".join(f"{x:g}" for x in memory)
+    raise PolicyNotFoundError(
+        f"agym_jax ships no policy with the memory {memory} for {env_name!r}.{without} With {SHIPPED}, policies ship for "
+        f"{', '.join(there)}. {train} --memory {times}"
+    )
 
 
 @dataclass(frozen=True)
@@ -162,7 +180,7 @@ def find_policies(
     load_dir: str | None = None,
     policy: str | None = None,
     human_policy: str | None = None,
-    memory: bool = False,
+    memory: Memory = (),
 ) -> PolicyFiles:
     """Return the policies that the command-line tools select, before anything is built.
 
@@ -172,7 +190,7 @@ def find_policies(
         policy: policy of the robot (or of both agents together): a file or a baseline, which takes precedence over
             ``load_dir``.
         human_policy: the same for the person.
-        memory: whether shipped policies are to have a memory.
+        memory: time constants [s] of the memory that shipped policies are to have.
 
     Raises:
         PolicyNotFoundError: if there is no such file.
@@ -190,7 +208,7 @@ def find_policies(
     if human and human not in BASELINES:
         human = str(find_policy(plain, None, human))
     if human is None and acts and policy is None:
-        beside = asset_root() / shipped_folder(memory) / "human" / f"{plain}.npz"
+        beside = asset_root() / shipped_folder(bool(memory)) / "human" / f"{plain}.npz"
         if load_dir is not None:
             beside = run_file(run_folder(load_dir, plain), "human")
         human = str(beside) if beside.is_file() else None

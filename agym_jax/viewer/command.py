@@ -218,7 +218,7 @@ def policy_files(config: ViewConfig, say: Say) -> PolicyFiles | None:
     asked = config.policy or config.load_dir or config.human_policy
     try:
         given = (config.load_dir, config.policy, config.human_policy)
-        files = find_policies(name, *given, memory=bool(config.memory))
+        files = find_policies(name, *given, memory=config.memory)
     except PolicyNotFoundError:
         if asked:
             raise
@@ -229,7 +229,7 @@ def policy_files(config: ViewConfig, say: Say) -> PolicyFiles | None:
         return PolicyFiles(files.robot, "zero") if alone else files
     if recipe.active:
         with contextlib.suppress(PolicyNotFoundError):
-            files = PolicyFiles(find_policies(still, memory=bool(config.memory)).robot, "zero")
+            files = PolicyFiles(find_policies(still, memory=config.memory).robot, "zero")
             say(f"No policies are shipped for {name}: the robot uses that of {still}, and the person does nothing.")  # fmt: skip
             return files
     say(f"No policy is shipped for {name}: nobody acts until you choose who drives.")

@@ -37,6 +37,7 @@ class ChangedEnv(FakeEnv):
     changes: dict[str, Any] = {}  # noqa: RUF012
     humans = Population()
     variation = task = None
+    memory = ()
 
 
 def make(name: str, impl: str, episode_length: int = 20, **options: Any) -> ChangedEnv:

@@ -113,7 +113,7 @@ def baseline_policy(name: str, action_size: int) -> Baseline:
     data_fields=["robot", "human"],
     meta_fields=["robot_columns"],
 )
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # as ``Policy``
 class Pair:
     """A pair of robot policy and person policy; each receives only its own columns of the observation.
 

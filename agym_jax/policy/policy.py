@@ -40,7 +40,7 @@ FORMER_AGENTS = {"person": "human"}
     meta_fields=["arch"],
     drop_fields=["info"],
 )
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # of arrays, which have no hash; jax.jit(policy) needs one
 class Policy:
     """A policy, ready to act.
 

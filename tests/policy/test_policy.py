@@ -71,6 +71,14 @@ def test_a_policy_comes_back_and_acts_the_same(tmp_path, distribution):
         loaded(obs, deterministic=False)
 
 
+def test_a_policy_can_be_jitted_itself(policy):
+    obs = jnp.ones((3, policy.arch.observation_size))
+    np.testing.assert_allclose(jax.jit(policy)(obs), policy(obs), atol=1e-6)
+    pair = Pair(policy, policy, policy.arch.observation_size)
+    both = jnp.concatenate([obs, obs], -1)
+    np.testing.assert_allclose(jax.jit(pair)(both), pair(both), atol=1e-6)
+
+
 def test_the_mode_of_a_gaussian_is_clipped_not_squashed():
     policy = make_policy(head_gain=50.0)
     obs = 3 * jax.random.normal(jax.random.PRNGKey(1), (50, 4))

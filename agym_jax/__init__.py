@@ -94,7 +94,8 @@ def load_policy(source: str | Path, env: Env | None = None) -> Policy | Pair:
 
     Args:
         source: an environment id, to load the policy shipped for it (the robot's policy, or for ``...Human-v0`` the
-            pair of robot and person; if ``env`` has a memory, one that has it too); or the path of a policy file or of a training run's folder.
+            pair of robot and person; if ``env`` has a memory, one that has it too); or the path of a policy file or of a
+            training run's folder.
         env: environment that the policy must fit; its population and episode length may differ from those used in
             training. None skips this check.
 

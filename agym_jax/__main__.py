@@ -181,7 +181,7 @@ def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax o
     if recipe is None:
         return 2
     from agym_jax import observe
-    from agym_jax.memory import checked_memory, with_memory
+    from agym_jax.memory import checked_memory, observation_records
     from agym_jax.policy.contract import acting_joints, action_meaning
 
     task = recipe.task
@@ -190,11 +190,7 @@ def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax o
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
-    records = {"robot": task.robot_obs}
-    if recipe.active:
-        records["human"] = task.human_obs
-    for agent, plain in records.items():
-        record = with_memory(plain, memory)
+    for agent, record in observation_records(task, recipe.active, memory).items():
         joints = acting_joints(recipe.robot, task, agent)
         print(f"{agent.title()}: {observe.size(record)} columns\n\n{observe.table(record)}\n")
         print(

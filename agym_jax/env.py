@@ -34,7 +34,7 @@ from agym_jax.human.population import Population, checked_population
 from agym_jax.human.regions import comfort_limits, no_forces
 from agym_jax.jax_settings import full_precision
 from agym_jax.math3d import first_sign, nearest_sign
-from agym_jax.memory import Averages, Past, checked_memory, remember, with_memory
+from agym_jax.memory import Averages, Past, checked_memory, observation_records, remember
 from agym_jax.metrics import check_terms, metric_names, metrics_of, progress_of
 from agym_jax.rendering.raycast import Marker
 from agym_jax.sense import Motion, Sensed, quats_of, with_quats
@@ -123,9 +123,7 @@ class AssistiveEnv:
     @property
     def observation_records(self) -> dict[str, type]:
         """Record of each agent's observation, in order, with its memory."""
-        records = {"robot": self.task.robot_obs}
-        records |= {"human": self.task.human_obs} if self.active else {}
-        return {agent: with_memory(record, self.memory) for agent, record in records.items()}
+        return observation_records(self.task, self.active, self.memory)
 
     @property
     def action_size(self) -> int:

@@ -21,6 +21,7 @@ import numpy as np
 
 from agym_jax import observe
 from agym_jax.errors import ArgumentError
+from agym_jax.spec import Task
 
 MEMORY = "memory"
 """Name of the setting."""
@@ -81,6 +82,19 @@ def with_memory(record: type, memory: Memory) -> type:
     }
     types = dict.fromkeys(fields, jax.Array)
     return observe.observation(type(record.__name__, (), {**fields, "__annotations__": types}))
+
+
+def observation_records(task: Task, active: bool, memory: Memory) -> dict[str, type]:
+    """Return the record of each agent's observation, in order, with its averages.
+
+    Args:
+        task: the task.
+        active: whether the person acts too.
+        memory: from ``checked_memory``.
+    """
+    records = {"robot": task.robot_obs}
+    records |= {"human": task.human_obs} if active else {}
+    return {agent: with_memory(record, memory) for agent, record in records.items()}
 
 
 def _mean_over(time: float) -> tuple[str, str]:

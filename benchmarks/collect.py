@@ -6,8 +6,8 @@ over other people are kept. The chosen policy replaces the one that ships where 
 larger and at most 5 of 100 successes are lost, over the same people in
 the same physics if ``select`` measured both; where none ships, from ``--least`` on. Choice and limit of runs under a cost limit are in ``results/gentle.jsonl``.
 Of runs that began with a policy (``--robot-policy``; of pairs, ``--human-policy`` too), the choice is in ``results/continued.jsonl``. What training both
-of these were is in ``results/continued_training.jsonl``. Runs with a memory (``--memory``) are kept in
-``results/memory.jsonl``; their policies ship in a folder of their own, if they are better than those without. With ``--suite``, all runs are kept in ``results/suite.jsonl``, as those of one command. Then the tables and the picture of the curves are made anew.
+of these were is in ``results/continued_training.jsonl``. Runs with a memory (``--memory``), also those of a suite, are kept in
+``results/memory.jsonl``; their policies ship in a folder of their own, if the memory is that of the others there and they are better than those without. With ``--suite``, all runs are kept in ``results/suite.jsonl``, as those of one command. Then the tables and the picture of the curves are made anew.
 Collecting the same runs again changes nothing.
 """
 
@@ -28,10 +28,11 @@ from agym_jax.data.npz import write_file
 from agym_jax.errors import AgymError
 from agym_jax.memory import MEMORY, SHIPPED
 from agym_jax.policy.files import FILE_NAMES
-from agym_jax.policy.policy import read_policy, save_policy
+from agym_jax.policy.policy import read_policy, save_policy, shipped_folder
 from agym_jax.registry import parse
 from benchmarks import seed_curves, tables
 from benchmarks.markdown import RESULTS, Line, is_earlier
+from benchmarks.memory_tables import run_of
 from benchmarks.shipped import recorded
 from train.runs.overview import JOURNAL, read_rows, selection_of, training_summary
 
@@ -92,7 +93,7 @@ class Found:
     @property
     def ships_in(self) -> Path:
         """Folder of the policies that ship, among which its own would be."""
-        return POLICIES / "memory" if self.memory else POLICIES
+        return POLICIES.parent / shipped_folder(bool(self.memory))
 
     @property
     def file(self) -> Path:
@@ -104,11 +105,8 @@ class Found:
         """What is recorded of the policy that ships."""
         if not self.memory:
             return recorded().get(self.run.name)
-        info = read_policy(self.file).info
-        training = (self.run.name, info.get("commit"), info.get("seed"))
-        rows = read_rows(RESULTS / "memory.jsonl")
-        known = [x for x in rows if (x["env"], x["policy_commit"], x["chosen"]) == training]
-        return known[-1]["reported"] | {"time": known[-1]["time"]} if known else None
+        run = run_of(self.run.name, read_policy(self.file).info, RESULTS)
+        return run and run["reported"] | {"time": run["time"]}
 
     @property
     def gentle(self) -> bool:
@@ -354,10 +352,7 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
         if ships:
             info = ship(found)
         elif found.file.is_file() and choice.get("shipped") and not replaced:
-            summary, info = (
-                choice["shipped"],
-                dict(read_policy(found.file).info),
-            )
+            summary, info = choice["shipped"], dict(read_policy(found.file).info)
         if info and not found.memory:
             put(*evaluation(found, summary, info), ("env", "time", "policy", "human_policy"))
     low, high = choice["success_iqm_low"], choice["success_iqm_high"]

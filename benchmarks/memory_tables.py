@@ -2,42 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 from agym_jax.data.assets import asset_root
 from agym_jax.data.npz import read_npz
 from agym_jax.policy.policy import shipped, shipped_folder
+from benchmarks import markdown
 from benchmarks.care_tables import among_everybody, worst_group
-from benchmarks.markdown import (
-    EARLIER,
-    NOTHING,
-    RESULTS,
-    Line,
-    grid,
-    mark,
-    read_results,
-    several,
-    table,
-)
+from benchmarks.markdown import EARLIER, NOTHING, RESULTS, Line
+from benchmarks.policy_tables import COMMIT, seeds_and_steps, seeds_in_percent
 from train.runs.overview import share
 
 
-def _runs(folder: Path) -> list[Line]:
-    return read_results("memory", ("env", "time"), folder, changed=True)
+def runs(folder: Path = RESULTS) -> list[Line]:
+    """Choices among the seeds of trainings with a memory."""
+    return markdown.read_results("memory", ("env", "time"), folder, changed=True)
+
+
+def run_of(name: str, info: Mapping[str, Any], folder: Path = RESULTS) -> Line | None:
+    """The run that a policy comes from; None if there is no line of it.
+
+    Args:
+        name: its environment.
+        info: from its file.
+        folder: where results lie.
+    """
+
+    def training(commit: str, seed: int) -> tuple[str, int]:
+        return commit[:COMMIT], seed
+
+    wanted = training(str(info.get("commit")), info.get("seed", 0))
+    of = [x for x in runs(folder) if x["env"] == name]
+    return next((x for x in of if training(x["policy_commit"], x["chosen"]) == wanted), None)
 
 
 def _times(line: Line) -> str:
     return ", ".join(f"{x:g}" for x in line["changes"]["memory"])
-
-
-def _each(line: Line) -> str:
-    values = [f"{100 * x:.3g}" for x in line["success_of_seeds"]]
-    return ", ".join(values)
-
-
-def _steps(line: Line, count: int) -> str:
-    return f"{count} x {line['num_env_steps'] / 1e6:.3g} M"
 
 
 def _worst_and_mean(line: Line) -> str:
@@ -45,104 +48,102 @@ def _worst_and_mean(line: Line) -> str:
 
 
 def trainings(folder: Path = RESULTS) -> str:
-    """What seeds with a memory achieve, beside those without that were trained most similarly."""
-    lines = [x for x in _runs(folder) if not x["started_from"]]
-    if not lines:
-        return NOTHING
+    """What seeds with a memory achieve, beside those without one."""
+    lines = [x for x in runs(folder) if not x["started_from"]]
     without = _without(folder)
-    sign = mark([*lines, *(y for of in without.values() for y in of)])
+    sign = markdown.mark([*lines, *(y for of in without.values() for y in of)])
     columns = {
         "environment": lambda x: x["env"] + (" ‡" if "code" in x else ""),
         "memory [s]": _times,
-        "seeds x steps": lambda x: _steps(x, len(x["seeds"])),
-        "success of each seed [%]": _each,
+        "seeds x steps": seeds_and_steps,
+        "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
         "worst, interquartile mean": _worst_and_mean,
-        "chosen seed, over other people": lambda x: (
-            f"{x['chosen']}: {share(x['reported']['success'])}, gently {share(x['reported']['gentle_success'])}"
-        ),
+        "chosen seed, over other people": lambda x: f"{x['chosen']}: {_success(x['reported'])}",
         "without memory: seeds x steps, worst, interquartile mean": lambda x: "; ".join(
-            f"{_steps(y, len(y['seeds']))}{sign(y)}: {_worst_and_mean(y)}"
+            f"{seeds_and_steps(y)}{sign(y)}: {_worst_and_mean(y)}"
             for y in without.get(x["env"], ())
         ),
     }
-    episodes = several(f"{x['episodes']:,}" for x in lines)
-    order = lambda x: (x["env"], -len(x["seeds"]), x["time"])  # noqa: E731
-    return table(
-        lines,
-        columns,
-        order,
-        f"{episodes} episodes of each seed, mode; ‡ by a prototype with the same averages; {EARLIER} measured before the present physics;",
+    episodes = markdown.several(f"{x['episodes']:,}" for x in lines)
+    note = (
+        f"{episodes} episodes of each seed, mode; ‡ by a prototype with the same averages; {EARLIER} measured before the present "
+        f"physics;"
     )
+    return markdown.table(lines, columns, lambda x: (x["env"], -len(x["seeds"]), x["time"]), note)
 
 
 def _without(folder: Path) -> dict[str, list[Line]]:
     """Environment -> the newest choices without a memory, of the suite and of a training of its own, with the settings of the id."""
     found: dict[str, list[Line]] = {}
     for name in ("suite", "selection"):
-        for line in read_results(name, ("env",), folder):
+        for line in markdown.read_results(name, ("env",), folder):
             if not line.get("trained_with"):
                 found.setdefault(line["env"], []).append(line)
     return {env: sorted(lines, key=itemgetter("num_env_steps")) for env, lines in found.items()}
 
 
 def policies(folder: Path = RESULTS) -> str:
-    """What policies with a memory achieve that ship, beside those without."""
-    names = shipped(memory=True)
-    if not names:
-        return NOTHING
-    results = {
-        "here": _runs(folder),
-        "every size": read_results("memory_everybody", ("env",), folder, changed=True),
-        "there": read_results("memory_in_assistive_gym", ("env",), folder, changed=True),
-    }
-    plain = {
-        "here": {
-            x["env"]: x
-            for x in read_results("evaluation", ("env", "policy"), folder)
-            if x["policy"] == "mode"
-        },
-        "every size": {x["env"]: x for x in among_everybody(folder)},
-        "there": {x["env"]: x for x in read_results("in_assistive_gym", ("env",), folder)},
-    }
+    """What policies with a memory achieve that ship, beside those without one."""
+    usual = [
+        x
+        for x in markdown.read_results("evaluation", ("env", "policy"), folder)
+        if x["policy"] == "mode"
+    ]
+    here, everybody = _by_env(usual), _by_env(among_everybody(folder))
+    there = _by_env(markdown.read_results("in_assistive_gym", ("env",), folder))
+    everybody_now, there_now = (
+        _by_env(markdown.read_results(f"memory_{name}", ("env",), folder, changed=True))
+        for name in ("everybody", "in_assistive_gym")
+    )
     rows, used = [], []
-    for name in names:
-        info = read_npz(asset_root() / shipped_folder(memory=True) / f"{name}.npz")[1]
-        here = next(x for x in results["here"] if _is_of(x, name, info))
-        every = next((x for x in results["every size"] if x["env"] == name), None)
-        there = next((x for x in results["there"] if x["env"] == name), None)
-        used += [x for x in (here, every, there) if x]
-        rows.append([
-            name, _times(here),
-            _both(plain["here"][name], here["reported"]),
-            _both(plain["every size"][name], every) if every else "",
-            _worst(plain["every size"][name], every) if every else "",
-            _forces(plain["here"][name], here["reported"]),
-            f"{_of(plain['there'][name])} -> {_of(there)}" if there else "",
-        ])  # fmt: skip
+    for name in shipped(memory=True):
+        file = asset_root() / shipped_folder(memory=True) / f"{name}.npz"
+        run = run_of(name, read_npz(file)[1], folder)
+        if run is None:
+            continue
+        used += [run, *(of[name] for of in (everybody_now, there_now) if name in of)]
+        rows.append(
+            [
+                name,
+                _times(run),
+                _both(_success, here.get(name), run["reported"]),
+                _both(_success, everybody.get(name), everybody_now.get(name)),
+                _both(_least, everybody.get(name), everybody_now.get(name)),
+                _both(_peak, here.get(name), run["reported"]),
+                _both(_count, there.get(name), there_now.get(name)),
+            ]
+        )
     heads = (
-        "environment", "memory [s]", "success, gently", "every size", "worst group of them",
+        "environment", "memory [s]", "success", "every size", "worst group of them",
         "median peak", "in Assistive Gym",
     )  # fmt: skip
-    return grid([heads, *rows], used, "Without memory -> with memory; mode;")
+    return (
+        markdown.grid([heads, *rows], used, "Without memory -> with memory; mode;")
+        if rows
+        else NOTHING
+    )
 
 
-def _is_of(line: Line, name: str, info: Line) -> bool:
-    same = line["policy_commit"][:7] == str(info.get("commit"))[:7]
-    return line["env"] == name and same and line["chosen"] == info.get("seed")
+def _by_env(lines: list[Line]) -> dict[str, Line]:
+    return {x["env"]: x for x in lines}
 
 
-def _both(before: Line, after: Line) -> str:
-    told = [f"{share(x['success'])}, {share(x['gentle_success'])}" for x in (before, after)]
-    return " -> ".join(told)
+def _both(told: Callable[[Line], str], before: Line | None, after: Line | None) -> str:
+    """A figure without and with a memory; empty where one is missing."""
+    return f"{told(before)} -> {told(after)}" if before and after else ""
 
 
-def _worst(before: Line, after: Line) -> str:
-    return " -> ".join(worst_group(x, "success") for x in (before, after))
+def _success(line: Line) -> str:
+    return f"{share(line['success'])}, gently {share(line['gentle_success'])}"
 
 
-def _forces(before: Line, after: Line) -> str:
-    return " -> ".join(f"{x['peak_median']:.0f} N" for x in (before, after))
+def _least(line: Line) -> str:
+    return worst_group(line, "success")
 
 
-def _of(line: Line) -> str:
+def _peak(line: Line) -> str:
+    return f"{line['peak_median']:.0f} N"
+
+
+def _count(line: Line) -> str:
     return f"{line['successes']} of {line['episodes']}"

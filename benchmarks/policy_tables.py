@@ -204,9 +204,9 @@ def gentle(folder: Path = RESULTS) -> str:
         "margin": lambda x: f"{x.get('cost_margin') or 0:g}",
         "people": lambda x: x.get("trained_with", {}).get("humans.sizes", "ag"),
         "begins with": lambda x: _begun(x.get("started_from")),
-        "seeds x steps": _seeds_and_steps,
-        "gentle success of each seed [%]": lambda x: _of_seeds(x["gentle_success_of_seeds"]),
-        "success of each seed [%]": lambda x: _of_seeds(x["success_of_seeds"]),
+        "seeds x steps": seeds_and_steps,
+        "gentle success of each seed [%]": lambda x: seeds_in_percent(x["gentle_success_of_seeds"]),
+        "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
         "chosen seed, over other people: gentle, success, median peak": lambda x: (
             f"{x['chosen']}: {figures(x['reported'])}"
         ),
@@ -227,8 +227,8 @@ def continued(folder: Path = RESULTS) -> str:
     """What trainings that go on with a policy achieve, beside that policy."""
     columns = {
         "environment": lambda x: x["env"],
-        "seeds x steps": _seeds_and_steps,
-        "success of each seed [%]": lambda x: _of_seeds(x["success_of_seeds"]),
+        "seeds x steps": seeds_and_steps,
+        "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
         "worst": lambda x: f"{min(x['success_of_seeds']):.1%}",
         "chosen seed, over other people": lambda x: f"{x['chosen']}: {x['chosen_success']:.1%}",
         "the policy before": lambda x: f"{x['shipped']['success']:.1%}",
@@ -241,11 +241,13 @@ def _of_runs(lines: list[Line], columns: dict[str, Callable[..., str]]) -> str:
     return table(lines, columns, itemgetter("env"), f"{episodes} episodes of each seed, mode;")
 
 
-def _seeds_and_steps(line: Line) -> str:
+def seeds_and_steps(line: Line) -> str:
+    """How many seeds were trained, and for how many steps each."""
     return f"{len(line['seeds'])} x {line['num_env_steps'] / 1e6:.3g} M"
 
 
-def _of_seeds(values: Sequence[float]) -> str:
+def seeds_in_percent(values: Sequence[float]) -> str:
+    """The shares of all seeds."""
     return ", ".join(f"{100 * x:.3g}" for x in values)
 
 

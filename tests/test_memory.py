@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ import pytest
 import agym_jax
 from agym_jax import __main__ as cli
 from agym_jax import observe
+from agym_jax.adapters.brax import wrap_for_brax_training
+from agym_jax.adapters.pettingzoo import PettingZooEnv
 from agym_jax.changes import arguments_of, flags_of
 from agym_jax.errors import ArgumentError, PolicyEnvironmentError, PolicyNotFoundError
 from agym_jax.memory import checked_memory, with_memory
@@ -209,3 +212,25 @@ def test_in_assistive_gym_a_policy_is_shown_the_same_averages(episode):
     for obs in (np.asarray(x)[0, :n] for x in seen):
         np.testing.assert_allclose(remember(obs[: n // 3]), obs, rtol=1e-4, atol=1e-5)
     assert in_assistive_gym.Memory(())(np.arange(3.0)).tolist() == [0.0, 1.0, 2.0]
+
+
+def test_the_page_computes_the_same_averages():
+    (code,) = re.findall(
+        r"```python\n(import numpy.*?)```", Path("docs/memory.md").read_text(), re.S
+    )
+    known: dict[str, Any] = {}
+    exec(code, known)
+    theirs, ours = known["Memory"](TIMES), in_assistive_gym.Memory(TIMES)
+    for obs in np.random.default_rng(1).normal(size=(5, 4)):
+        np.testing.assert_allclose(theirs(obs), ours(obs), rtol=1e-12)
+
+
+def test_adapters_have_it_too():
+    pair = PettingZooEnv(PAIR, impl="native", memory=TIMES)
+    assert {x: pair.observation_space(x).shape for x in pair.agents or pair.possible_agents} == {
+        "robot": (63,), "human": (57,)
+    }  # fmt: skip
+    env = wrap_for_brax_training(agym_jax.make(ALONE, impl="jax", memory=TIMES))
+    state = jax.eval_shape(env.reset, jax.random.split(KEY, 2))
+    after = jax.eval_shape(env.step, state, np.zeros((2, env.action_size), np.float32))
+    assert after.obs.shape == (2, 63)

@@ -24,13 +24,13 @@ from agym_jax.errors import checked_count
 from agym_jax.flags import Count, PolicyFlags, parse_flags
 from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.check import trained_otherwise
-from agym_jax.policy.files import find_policies, load_policies
+from agym_jax.policy.files import load_policies
 from agym_jax.rendering.clips import contact_sheet, evenly, write_clip
 from agym_jax.rendering.meshes import check_visuals
 from agym_jax.rendering.render import check_backend
 from agym_jax.sim.pictures import check_camera
 
-from .envs import jit_functions, make_env, make_for
+from .envs import env_and_policies, jit_functions, make_env
 from .errors import ConfigError, reports_errors
 from .learning.rollout import COMFORT_KEY, FORCE_KEY
 from .runs.progress import LINE_PERIOD
@@ -342,12 +342,7 @@ def main(
     )  # one environment: the accelerator would only be slower
     warnings.simplefilter("default")
     _check_outputs(config)
-    env = make(
-        config.env_name, config.impl, **config.options()
-    )  # first: it knows which ids there are
-    asked = (config.load_dir, config.policy, config.human_policy)
-    files = find_policies(config.env_name, *asked, memory=config.memory)
-    env = make_for(files.robot, env, make, config, config.impl)
+    env, files = env_and_policies(config, config.impl, make)
     if config.visuals != "primitives":  # before anything is compiled
         check_visuals(config.visuals, env.robot)
     policy = load_policies(files, env, config.any_env, other_people=True)

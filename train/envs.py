@@ -8,7 +8,9 @@ from typing import Any
 import jax
 
 from agym_jax.flags import PolicyFlags
-from agym_jax.policy.check import memory_of
+from agym_jax.memory import MEMORY
+from agym_jax.policy.check import settings_for
+from agym_jax.policy.files import PolicyFiles, find_policies
 from agym_jax.registry import active_id, static_id
 
 from .errors import ActiveHumanError
@@ -28,22 +30,28 @@ def make_env(env_name: str, impl: str = "auto", **options: Any) -> Any:
     return agym_jax.make(env_name, impl=choose_impl(impl, traced=False), **options)
 
 
-def make_for(
-    policy: str, env: Any, make: Callable[..., Any], config: PolicyFlags, impl: str
-) -> Any:
-    """Return the environment in which a policy is run: ``env``, or the same with the policy's memory where the flags name none.
+def env_and_policies(
+    config: PolicyFlags, impl: str, make: Callable[..., Any]
+) -> tuple[Any, PolicyFiles]:
+    """Return the environment and the policies that flags name; the environment has the policy's memory if they name none.
 
     Args:
-        policy: file of the policy, or name of a baseline.
-        env: environment made of the flags.
-        make: makes environments, as ``make_env`` does.
         config: the flags.
         impl: physics.
+        make: makes environments, as ``make_env`` does.
+
+    Raises:
+        UnknownNameError: if there is no such id.
+        PolicyNotFoundError: if there is no such policy.
     """
-    memory = () if config.memory else memory_of(policy)
-    if not memory:
-        return env
-    return make(config.env_name, impl, **config.options(), memory=memory)
+    options = config.options()
+    env = make(config.env_name, impl, **options)  # first: it knows which ids there are
+    given = (config.load_dir, config.policy, config.human_policy)
+    files = find_policies(config.env_name, *given, memory=config.memory)
+    trained = settings_for(files.robot, config.env_name)
+    if MEMORY in trained and not config.memory:
+        env = make(config.env_name, impl, **options, memory=trained[MEMORY])
+    return env, files
 
 
 def changed(env: Any) -> dict[str, Any]:

@@ -19,9 +19,9 @@ from agym_jax.errors import checked_count
 from agym_jax.flags import Count, PolicyFlags, first_paragraph, parse_flags
 from agym_jax.policy.agents import BASELINES, AnyPolicy, baseline_policy
 from agym_jax.policy.check import trained_otherwise
-from agym_jax.policy.files import find_policies, load_policies
+from agym_jax.policy.files import load_policies
 
-from .envs import changed, make_env, make_for
+from .envs import changed, env_and_policies, make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
@@ -92,12 +92,7 @@ def main(
     config = parse_flags(EvaluateConfig, arguments, prog, first_paragraph(__doc__))
     if config.json:
         check_writable(Path(config.json).parent, "Choose another file with --json.")
-    env = make(
-        config.env_name, config.impl, **config.options()
-    )  # first: it knows which ids there are
-    asked = (config.load_dir, config.policy, config.human_policy)
-    files = find_policies(config.env_name, *asked, memory=config.memory)
-    env = make_for(files.robot, env, make, config, config.impl)
+    env, files = env_and_policies(config, config.impl, make)
     policy = load_policies(files, env, config.any_env, other_people=True)
     print(f"Policy: {', '.join(x for x in (files.robot, files.human) if x)}", flush=True)
     result = evaluate(

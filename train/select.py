@@ -94,7 +94,9 @@ def seed_folders(run: Path) -> dict[int, Path]:
 def load_seeds(
     run: Path, make: Callable[..., Any], impl: str, default_settings: bool = False
 ) -> tuple[Any, dict[int, AnyPolicy]]:
-    """Return the environment of a run, with its training settings or the default ones and its memory, and the policy of each of its seeds.
+    """Return the environment of a run, with its training settings or the default ones, and the policy of each of its seeds.
+
+    The memory is that of the training in both cases.
 
     Raises:
         PolicyNotFoundError: if there are no policies.

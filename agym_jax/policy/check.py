@@ -8,7 +8,7 @@ from typing import Any
 
 from agym_jax.changes import arguments_of, describe, essential, flags_of
 from agym_jax.errors import PolicyEnvironmentError, PolicyLayoutError
-from agym_jax.memory import MEMORY, Memory
+from agym_jax.memory import MEMORY
 from agym_jax.policy.agents import BASELINES, AnyPolicy, Pair, parts
 from agym_jax.policy.policy import Policy, read_policy
 from agym_jax.registry import active_id, static_id
@@ -43,19 +43,6 @@ def settings_for(path: Path | str, env_name: str) -> dict[str, Any]:
     info, plain = read_policy(path).info, env_name.rpartition(":")[2]
     same = static_id(str(info.get("env"))) == static_id(plain)
     return arguments_of(meant_for(info)) if same else {}
-
-
-def memory_of(path: Path | str) -> Memory:
-    """Return the memory of a policy, by the path of its file; none for the name of a baseline.
-
-    Raises:
-        PolicyNotFoundError, PolicyDamagedError: if there is no such file, or it cannot be read.
-    """
-    return () if str(path) in BASELINES else _memory(read_policy(path).info)
-
-
-def _memory(info: Mapping[str, Any]) -> Memory:
-    return tuple(info.get("changes", {}).get(MEMORY, ()))
 
 
 def meant_for(info: Mapping[str, Any]) -> dict[str, Any]:
@@ -140,7 +127,7 @@ def check_policy(
 
 def _check_memory(policy: Policy, env: Any, path: Path | str) -> None:
     """Raise PolicyEnvironmentError if policy and environment have different memories."""
-    theirs = _memory(policy.info)
+    theirs = tuple(policy.info.get("changes", {}).get(MEMORY, ()))
     ours = tuple(getattr(env, MEMORY, ()))
     if theirs == ours:
         return

@@ -31,8 +31,8 @@ def load_policy(source: Path | str, env: Any = None) -> Policy | Pair:
 
     Args:
         source: an environment id, to load its shipped policy; or the path of a file (``.npz``) or of a training run's
-            folder (``trained_models/ScratchItchJaco-v0``). If ``env`` has a memory, the shipped one has it too. A string is taken as a path if it contains a slash, or if
-            no policy ships under that name and there is such a folder.
+            folder (``trained_models/ScratchItchJaco-v0``). If ``env`` has a memory, the shipped one has it too. A string is
+            taken as a path if it contains a slash, or if no policy ships under that name and there is such a folder.
         env: environment that the policy must fit; None skips this check.
 
     Returns:

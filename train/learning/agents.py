@@ -271,7 +271,7 @@ def _make_agent(config: LearnConfig, env: Any, name: str) -> Agent:
     start = None
     if path is not None:
         memory = getattr(env, MEMORY, ())
-        if path == SHIPPED or path in {*shipped(), *shipped(memory=True)}:
+        if path == SHIPPED or path in shipped():
             path = find_policy(static_id(env.name) if path == SHIPPED else path, memory=memory)
         start = read_policy(path)
         check_policy(start, env, path, agent=name, other_people=True, other_settings=not frozen)

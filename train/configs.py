@@ -19,15 +19,18 @@ from agym_jax.flags import Count, EnvFlags, env_name_in, task_config
 from .errors import ConfigError, check_save_dir
 from .task_changes import CPU_CHANGES, TASK_CHANGES
 
-POSITIVE = ("lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling")
+POSITIVE = (
+    "lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling", "candidates_until",
+)  # fmt: skip
 NOT_NEGATIVE = (
-    "value_loss_coef", "entropy_coef", "policy_head_gain",
-    "noise_floor", "noise_ceiling",
+    "value_loss_coef", "entropy_coef", "policy_head_gain", "noise_floor", "noise_ceiling",
     "cost_limit", "cost_proportional", "cost_integral", "cost_derivative", "cost_multiplier_max",
 )  # fmt: skip
 SHARES = (
-    "gamma", "gae_lambda", "entropy_decay_share", "value_warm_up", "noise_ceiling_from", "cost_margin", "cost_tighten_from", "cost_tighten_until",
+    "gamma", "gae_lambda", "entropy_decay_share", "value_warm_up", "noise_ceiling_from", "candidates_until",
+    "cost_margin", "cost_tighten_from", "cost_tighten_until",
 )  # fmt: skip
+COUNTS = "num_env_steps", "num_steps", "ppo_epoch", "num_mini_batch", "num_seeds", "num_candidates"
 MAX_ENV_STEPS = 2**32 - 1  # the learner counts steps in 32 unsigned bits
 
 
@@ -44,6 +47,11 @@ class LearnConfig(EnvFlags):
     num_seeds: Count = 1
     """Number of independent trainings run in parallel, with the seeds seed, seed + 1, ...; num_envs and num_env_steps
     apply to each of them. Policies and learning curves are stored in the run's folders seed_1, seed_2, ..."""
+    num_candidates: Count = 1
+    """Begin each training this many times with different random numbers, and continue the one with the largest return after
+    the fraction candidates_until of the steps."""
+    candidates_until: float = 0.3
+    """With num_candidates: fraction of the run after which one of them continues."""
     impl: str = "auto"
     """Physics: "jax" or "warp" (MJX), "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU if
     installed."""
@@ -171,7 +179,7 @@ class LearnConfig(EnvFlags):
         Raises:
             ConfigError: if a value is invalid; the message names the field, its value and what is allowed.
         """
-        for name in ("num_env_steps", "num_steps", "ppo_epoch", "num_mini_batch", "num_seeds"):
+        for name in COUNTS:
             if getattr(self, name) < 1:
                 raise ConfigError(f"{name} must be at least 1, got {getattr(self, name)}.")
         for name in POSITIVE:
@@ -205,9 +213,8 @@ class LearnConfig(EnvFlags):
             if value is not None and not 0 <= value < math.inf:
                 raise ConfigError(f"{name} must be at least 0 and finite, got {value}.")
         if self.num_env_steps > MAX_ENV_STEPS:
-            raise ConfigError(
-                f"num_env_steps must be at most {MAX_ENV_STEPS}, got {self.num_env_steps}."
-            )
+            steps = self.num_env_steps
+            raise ConfigError(f"num_env_steps must be at most {MAX_ENV_STEPS}, got {steps}.")
 
 
 @dataclass(frozen=True)

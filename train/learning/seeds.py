@@ -22,6 +22,9 @@ from .agents import Agents, LearnerState
 from .ppo import Hyper
 from .rollout import Batch
 
+CANDIDATE_STRIDE = 1_000_003
+"""Between the seeds of two candidates of a training."""
+
 
 @dataclass(frozen=True)
 class Lane:
@@ -42,6 +45,18 @@ def lanes_of(config: LearnConfig) -> list[Lane]:
     """The trainings that a configuration asks for: one for each seed."""
     seeds = range(config.seed, config.seed + config.num_seeds)
     return [Lane(f"seed_{seed}", seed, config) for seed in seeds]
+
+
+def candidates_of(config: LearnConfig) -> list[Lane]:
+    """The trainings of which those of ``lanes_of`` are the best, ``num_candidates`` for each seed, seed after seed.
+
+    The first candidate of a seed is what would be trained without candidates.
+    """
+    return [
+        Lane(f"{lane.name}/candidate_{number + 1}", lane.seed + CANDIDATE_STRIDE * number, config)
+        for lane in lanes_of(config)
+        for number in range(config.num_candidates)
+    ]
 
 
 def lane_keys(lanes: Sequence[Lane]) -> jax.Array:
@@ -133,6 +148,13 @@ class SideBySide:
         """As ``Agents.compatibility``."""
         names = [lane.name for lane in self.lanes]
         return {**self.single.compatibility(), "lanes": names}
+
+
+def stacked(learners: Sequence[LearnerState]) -> LearnerState:
+    """The learner of a run, from those of its seeds (the opposite of ``of_seeds``)."""
+    if len(learners) == 1:
+        return learners[0]
+    return jax.tree.map(lambda *x: jnp.stack(x), *learners)
 
 
 def keep_learner(learner: LearnerState, kept: LearnerState, index: int) -> LearnerState:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +81,12 @@ class TrainResult:
     def steps_per_second(self) -> float:
         """Environment steps per second of training, excluding compilation."""
         return self.session_steps / max(self.train_seconds, 1e-9)
+
+    def after(self, before: TrainResult) -> TrainResult:
+        """Return this result with the steps and times of a part of the session before it added."""
+        added = ("session_steps", "compile_seconds", "train_seconds", "nan_steps")
+        sums = {name: getattr(self, name) + getattr(before, name) for name in added}
+        return replace(self, **sums)
 
     def last(self, name: str) -> float | None:
         """Return the last known value of a column of the curve."""

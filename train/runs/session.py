@@ -36,9 +36,17 @@ from ..learning.agents import Agents
 from ..learning.execution import STEPWISE, StepwiseEnv, compile_together, execution_of
 from ..learning.hosts import check_agreement, join_hosts, wait_for_hosts
 from ..learning.rollout import RolloutState, fold_in, init_rollout, split_keys
-from ..learning.seeds import Lane, SideBySide, keep_learner, lane_keys, lanes_of
+from ..learning.seeds import (
+    Lane,
+    SideBySide,
+    candidates_of,
+    keep_learner,
+    lane_keys,
+    lanes_of,
+)
 from ..learning.sharding import AXIS, device_mesh, replicate, shard, shardings, to_host
 from ..learning.update import make_updates
+from . import candidates
 from .checkpoint import steps_of
 from .curve import Row, check_overflow, diverged, make_rows, refuse_diverged
 from .folder import RunFolder
@@ -133,8 +141,9 @@ def _run(
     lanes: Sequence[Lane] | None,
     folder: RunFolder | None,
     loggers: Loggers,
+    until: float | None = None,
 ) -> TrainResult:
-    """``run_session`` in a folder that is ours."""
+    """``run_session`` in a folder that is ours; that of candidates, until a fraction of the steps."""
     is_main_process = jax.process_index() == 0
     start = time.perf_counter()
     lanes = list(lanes or lanes_of(config))
@@ -146,6 +155,15 @@ def _run(
         env, config, agents, folder, lanes, is_main_process, progress.say, loggers
     )
     learner, meta = manager.resume(jax.jit(agents.init)(key_learner))
+    before: TrainResult | None = None
+    if not meta and config.num_candidates > 1 and until is None:
+        before = _run_candidates(env, config, single, mesh, progress, on_log, folder)
+        if before.interrupted:
+            return before
+        chosen = candidates.choose(before, config, single)
+        chosen.hand_over(manager, before.train_seconds)
+        learner = chosen.learner
+        progress.say(f"Of {config.num_candidates} candidates, these continue: {chosen.numbers}.")
     first_steps = steps_of(learner)
     if meta:
         _say_resumed(progress, meta, config, first_steps)
@@ -158,9 +176,10 @@ def _run(
 
     batch = config.num_envs * config.num_steps
     total_steps = updates_in(config.num_env_steps, batch) * batch
+    end = updates_in(math.ceil(config.num_env_steps * (until or 1)), batch) * batch
     rollout: Any = None
     run: Any = None
-    if first_steps < total_steps:
+    if first_steps < end:
         # A resumed run gets fresh episodes, and other ones than the run before it began with.
         key_envs = fold_in(key_envs, first_steps)
         if execution_of(venv) is STEPWISE:
@@ -168,11 +187,11 @@ def _run(
             run = make_updates(venv, config, agents, execution=STEPWISE)
         else:
             learner, rollout, run = _compile(venv, config, agents, learner, key_envs, mesh)
-    else:
+    elif until is None:
         progress.say("This run is complete; raise --num-env-steps to continue it.")
     compile_seconds = time.perf_counter() - start
 
-    progress.start(first_steps, total_steps)
+    progress.start(first_steps, end)
     hyper = agents.hyper(total_steps)
     for i, lane in enumerate(lanes):
         if lane.name in manager.stopped:
@@ -181,8 +200,8 @@ def _run(
     env_steps, since_save, interrupted = first_steps, 0, False
     nan_before = nan_total = manager.combined[-1]["nan_total"] if manager.combined else 0
     try:
-        while env_steps < total_steps and not interrupted:
-            count = min(config.log_interval, math.ceil((total_steps - env_steps) / batch))
+        while env_steps < end and not interrupted:
+            count = min(config.log_interval, math.ceil((end - env_steps) / batch))
             began = time.perf_counter()
             next_learner, rollout, totals = run(learner, rollout, np.int32(count), hyper)
             totals = jax.device_get(totals)
@@ -212,9 +231,9 @@ def _run(
             since_save += count
             due = since_save >= config.save_interval or now - last_save > SAVE_PERIOD
             if on_log and on_log(row, lambda kept=learner: manager.policies(kept)[0]):
-                interrupted = env_steps < total_steps
-            save = manager.save if env_steps < total_steps else manager.save_end
-            if (due or interrupted or env_steps >= total_steps) and save(learner, now - start):
+                interrupted = env_steps < end
+            save = manager.save if env_steps < end else manager.save_end
+            if (due or interrupted or env_steps >= end) and save(learner, now - start):
                 since_save, last_save = 0, time.perf_counter()
     except KeyboardInterrupt:
         interrupted = True
@@ -224,7 +243,7 @@ def _run(
         progress.stop()
     train_seconds = time.perf_counter() - start
     policies = manager.finish(learner)
-    return TrainResult(
+    result = TrainResult(
         seeds=[
             SeedResult(x.name, x.seed, own, curve, manager.stopped.get(x.name, ""))
             for x, own, curve in zip(lanes, policies, manager.curves, strict=True)
@@ -242,6 +261,28 @@ def _run(
         unsaved=manager.trouble,
         saved_steps=manager.saved_steps,
     )
+    return result.after(before) if before else result
+
+
+def _run_candidates(
+    env: Any,
+    config: LearnConfig,
+    single: Agents,
+    mesh: Mesh | None,
+    progress: Progress,
+    on_log: OnLog | None,
+    folder: RunFolder | None,
+) -> TrainResult:
+    """Train the candidates of all seeds, in a folder of their own in that of the run."""
+    lanes, own = candidates_of(config), folder and folder.of_lane(candidates.FOLDER)
+    if own and jax.process_index() == 0:
+        own.prepare(fresh=False)
+    wait_for_hosts("candidates")
+    silent, until = Loggers((), None, progress.say), config.candidates_until
+    progress.say(
+        f"Training {len(lanes)} candidates, {config.num_candidates} for each seed, for {until:.0%} of the steps."
+    )
+    return _run(env, config, single, mesh, progress, on_log, lanes, own, silent, until)
 
 
 def _compile(

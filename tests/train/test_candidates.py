@@ -65,7 +65,7 @@ def test_the_best_candidate_of_each_seed_continues_with_its_curve(run):
         )
         assert [row["env_steps"] for row in seed.curve] == [640, 960, 1600, 1920]
         number = curves.index(best) + 1
-        assert f"'{seed.name}': {number}" in says.said[-1]
+        assert f"{number} of {seed.name}" in says.said[-1]
     assert [row["num_seeds"] for row in result.curve] == [2, 2, 2, 2]
     assert result.curve[-1]["seconds"] > result.curve[1]["seconds"]
 

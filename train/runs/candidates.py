@@ -40,6 +40,11 @@ class Chosen:
     stopped: dict[str, str]
     numbers: dict[str, int]
 
+    def words(self) -> str:
+        """Which candidates continue."""
+        each = ", ".join(f"{number} of {name}" for name, number in self.numbers.items())
+        return f"The candidates with the largest returns continue: {each}."
+
     def hand_over(self, manager: CheckpointManager, seconds: float) -> None:
         """Put the curves so far, and the seconds they took, at the beginning of those of a run."""
         manager.curves, manager.stopped = self.curves, dict(self.stopped)

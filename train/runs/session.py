@@ -163,7 +163,7 @@ def _run(
         chosen = candidates.choose(before, config, single)
         chosen.hand_over(manager, before.train_seconds)
         learner = chosen.learner
-        progress.say(f"Of {config.num_candidates} candidates, these continue: {chosen.numbers}.")
+        progress.say(chosen.words())
     first_steps = steps_of(learner)
     if meta:
         _say_resumed(progress, meta, config, first_steps)

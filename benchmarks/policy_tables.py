@@ -243,7 +243,9 @@ def _of_runs(lines: list[Line], columns: dict[str, Callable[..., str]]) -> str:
 
 def seeds_and_steps(line: Line) -> str:
     """How many seeds were trained, and for how many steps each."""
-    return f"{len(line['seeds'])} x {line['num_env_steps'] / 1e6:.3g} M"
+    return overview.seeds_and_steps(
+        len(line["seeds"]), line["num_env_steps"], line.get("candidates")
+    )
 
 
 def seeds_in_percent(values: Sequence[float]) -> str:

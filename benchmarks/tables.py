@@ -59,6 +59,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "training-profile": speed_tables.profile,
     "seed-speed": speed_tables.seed_speed,
     "brax-ppo": training_tables.brax_ppo,
+    "best-of": training_tables.best_of,
     "resume": training_tables.resume,
     "kills": training_tables.kills,
     "torch-overhead": speed_tables.torch_overhead,

@@ -6,7 +6,11 @@ from collections.abc import Callable, Iterable, Mapping
 from operator import itemgetter
 from pathlib import Path
 
-from benchmarks.markdown import RESULTS, Line, read_results, several, table
+import numpy as np
+
+from agym_jax.registry import parse
+from agym_jax.tasks import TASKS
+from benchmarks.markdown import NOTHING, RESULTS, Line, grid, read_results, several, table
 from benchmarks.speed_tables import BATCH
 
 
@@ -108,3 +112,23 @@ def kills(folder: Path = RESULTS) -> str:
         "runs that end otherwise": lambda x: x["differing_runs"],
     }
     return table(read_results("kills", ("env",), folder), columns, itemgetter("env"))
+
+
+def best_of(folder: Path = RESULTS) -> str:
+    """What choosing among candidates is worth, by task."""
+    lines = read_results("best_of", ("env", "time"), folder, changed=True)
+    if not lines:
+        return NOTHING
+    rows = []
+    for task in (*TASKS, "all"):
+        of = [x for x in lines if task in ("all", parse(x["env"]).task.name)]
+        success, returned = (
+            np.mean([x[f"by_{rule}"] for x in of], 0) for rule in ("success", "return")
+        )
+        chosen = (f"{a:.0%} ({b:.0%})" for a, b in zip(success, returned, strict=True))
+        rows.append([task, len(of), f"{np.mean([np.mean(x['ends']) for x in of]):.0%}", *chosen])
+    shares = lines[0]["shares"]
+    heads = ("task", "trainings", "all seeds", *(f"the best after {share:.0%}" for share in shares))
+    sizes = several(f"{x['candidates']} of {x['num_seeds']} seeds" for x in lines)
+    note = f"Sets of {sizes}, by success (by return alone); success while training, with noise;"
+    return grid([heads, *rows], lines, note)

@@ -48,9 +48,9 @@ class LearnConfig(EnvFlags):
     """Number of independent trainings run in parallel, with the seeds seed, seed + 1, ...; num_envs and num_env_steps
     apply to each of them. Policies and learning curves are stored in the run's folders seed_1, seed_2, ..."""
     num_candidates: Count = 1
-    """Begin each training this many times with different random numbers, and continue the one with the largest return after
-    the fraction candidates_until of the steps."""
-    candidates_until: float = 0.3
+    """Begin each training this many times with different random numbers, and continue the one with the most successes, or
+    of those without, the largest return, after the fraction candidates_until of the steps."""
+    candidates_until: float = 0.4
     """With num_candidates: fraction of the run after which one of them continues."""
     impl: str = "auto"
     """Physics: "jax" or "warp" (MJX), "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU if

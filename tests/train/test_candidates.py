@@ -59,7 +59,7 @@ def test_the_best_candidate_of_each_seed_continues_with_its_curve(run):
         curves = [
             rows(folder / f"candidates/{seed.name}/candidate_{i}/curve.jsonl") for i in (1, 2, 3)
         ]
-        best = max(curves, key=lambda curve: np.mean([row["return_per_step"] for row in curve]))
+        best = max(curves, key=score)
         assert (
             seed.curve[: len(best)] == best == rows(folder / seed.name / "curve.jsonl")[: len(best)]
         )
@@ -109,9 +109,7 @@ def test_a_candidate_that_diverges_is_not_chosen_while_another_is_sound():
     learners = [agents.init(key) for key in np.arange(12, dtype=np.uint32).reshape(6, 2)]
     returns, lost = [5.0, 1.0, 2.0, 5.0, 9.0, 7.0], [True, False, False, True, True, True]
     seeds = [
-        SeedResult(
-            lane.name, lane.seed, {}, [{"return_per_step": x}], "before step 320" if y else ""
-        )
+        SeedResult(lane.name, lane.seed, {}, curve_of(x), "before step 320" if y else "")
         for lane, x, y in zip(side.lanes, returns, lost, strict=True)
     ]
     result = type("Result", (), {"seeds": seeds, "learner": stacked(learners)})
@@ -124,9 +122,20 @@ def test_a_candidate_that_diverges_is_not_chosen_while_another_is_sound():
         )
 
 
+def curve_of(*returns, success=0.0):
+    return [{"return_per_step": x, "success": success} for x in returns]
+
+
 def test_of_a_curve_the_newest_rows_count():
-    assert score([{"return_per_step": x} for x in (100.0, 1.0, 2.0, 3.0, 4.0)]) == 2.5
-    assert score([]) == -np.inf
+    assert score(curve_of(100.0, 1.0, 2.0, 3.0, 4.0)) == (0.0, 2.5)
+    assert score([]) < score(curve_of(-1e9)) < score(curve_of(0.0))
+
+
+def test_success_counts_before_return():
+    parked, starts = curve_of(10.0), curve_of(-20.0, success=0.1)
+    assert score(parked) < score(starts)
+    unknown = [{"return_per_step": 0.0, "success": None}]  # no episode has ended
+    assert score(unknown) == (0.0, 0.0)
 
 
 def test_a_seed_of_which_all_candidates_diverge_stays_stopped(monkeypatch):

@@ -1,4 +1,4 @@
-"""Which candidates of a run continue: one for each seed, by the return of the newest steps.
+"""Which candidates of a run continue: one for each seed, by success and return of the newest steps.
 
 This is one round of successive halving (Jamieson and Talwalkar 2016, "Non-stochastic best arm identification and hyperparameter
 optimization") over random numbers instead of hyper-parameters.
@@ -43,7 +43,7 @@ class Chosen:
     def words(self) -> str:
         """Which candidates continue."""
         each = ", ".join(f"{number} of {name}" for name, number in self.numbers.items())
-        return f"The candidates with the largest returns continue: {each}."
+        return f"Of the candidates, the best continue: {each}."
 
     def hand_over(self, manager: CheckpointManager, seconds: float) -> None:
         """Put the curves so far, and the seconds they took, at the beginning of those of a run."""
@@ -56,10 +56,18 @@ class Chosen:
         manager.seconds = seconds
 
 
-def score(curve: Sequence[Row]) -> float:
-    """Mean return of a step times the length of an episode, in the newest rows of a curve; of an empty one, -inf."""
-    newest = [row["return_per_step"] for row in curve[-ROWS:]]
-    return float(np.mean(newest)) if newest else -np.inf
+def score(curve: Sequence[Row]) -> tuple[float, float]:
+    """How good a training is, larger is better: its success rate, then its return (of an empty curve, -inf), of the newest rows.
+
+    Success comes first because what has the larger return is often what cannot be improved: a sleeve held beside the hand
+    (docs/seeds.md, "Candidates").
+    """
+    newest = curve[-ROWS:]
+    if not newest:
+        return 0.0, -np.inf
+    success = [row["success"] for row in newest if row["success"] is not None]
+    returns = [row["return_per_step"] for row in newest]
+    return float(np.mean(success)) if success else 0.0, float(np.mean(returns))
 
 
 def choose(result: TrainResult, config: LearnConfig, single: Agents) -> Chosen:

@@ -166,8 +166,7 @@ class LearnConfig(EnvFlags):
     log_interval: Count = 0
     """Updates between log lines; 0 = about 80 lines per run."""
     save_interval: Count = 0
-    """Updates between checkpoints, rounded up to a log line; 0 = about 10 per run, and at least one per minute. A run that
-    is killed loses only the progress since its last checkpoint."""
+    """Updates between checkpoints, rounded up to a log line; 0 = about 10 per run, and at least one per minute."""
     logger: tuple[Literal["tensorboard", "wandb", "trackio"], ...] = ()
     """Further destinations for hyperparameters and learning curves; each requires the extra of the same name."""
     fresh: bool = False
@@ -200,8 +199,7 @@ class LearnConfig(EnvFlags):
                 )
         if self.noise_ceiling > 1 or self.noise_ceiling_from == 1:
             raise ConfigError(
-                f"noise_ceiling falls from 1, at noise_ceiling_from, to its value at the end of the run: at most 1, and from "
-                f"less than 1 on; got {self.noise_ceiling} and {self.noise_ceiling_from}."
+                f"noise_ceiling must be at most 1 and noise_ceiling_from less, got {self.noise_ceiling}, {self.noise_ceiling_from}."
             )
         check_save_dir(self.save_dir)
         for name in SHARES:
@@ -351,8 +349,7 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
         devices: number of devices among which the environments are divided.
 
     Returns:
-        Settings without a 0 in ``devices``, ``num_envs`` and ``log_interval``;
-        ``save_interval`` is a multiple of the log interval.
+        Settings without a 0 in ``devices``, ``num_envs``, ``log_interval``; ``save_interval`` is a multiple of the latter.
 
     Raises:
         ConfigError: if the environments cannot be divided evenly among the devices, or the data of an update into

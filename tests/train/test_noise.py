@@ -66,7 +66,7 @@ def test_only_deviations_above_the_ceiling_are_changed_and_it_wins_over_the_floo
     "settings", [{"noise_ceiling": 1.5}, {"noise_ceiling": 0.2, "noise_ceiling_from": 1.0}]
 )
 def test_a_ceiling_that_could_not_fall_is_refused(settings):
-    with pytest.raises(ConfigError, match="noise_ceiling falls from 1"):
+    with pytest.raises(ConfigError, match="noise_ceiling must be at most 1"):
         PPOConfig(**settings, distribution="normal")
 
 

@@ -254,8 +254,12 @@ def test_the_share_of_the_whole(tmp_path):
     whole = Whole(config, IDS)
     assert whole.share() == 0.0 and "0 of 2 finished" in whole.words()
     run = tmp_path / IDS[1]
-    run.mkdir()
-    (run / "config.json").write_text(json.dumps({"config": {"num_env_steps": 3000}}))
+    candidates = run / "candidates"
+    candidates.mkdir(parents=True)
+    for folder in (candidates, run):
+        (folder / "config.json").write_text(json.dumps({"config": {"num_env_steps": 3000}}))
+    (candidates / "curve.jsonl").write_text(json.dumps({"env_steps": 1000}) + "\n")
+    assert whole.share() == pytest.approx(0.225)
     (run / "curve.jsonl").write_text(json.dumps({"env_steps": 2000}) + "\n" + '{"env_st')
     assert whole.share() == pytest.approx(0.45)
     assert "(FeedingJaco-v0 60%)" in whole.words() and "left" in whole.words()

@@ -19,8 +19,6 @@ from .curve import Row, combine_rows
 from .manager import CheckpointManager
 from .result import TrainResult
 
-FOLDER = "candidates"
-"""Where their curves, policies and checkpoints are, in the folder of the run."""
 ROWS = 4  # newest rows of a curve that count: 5 % of a run
 
 

@@ -23,6 +23,8 @@ COLUMNS = (
 DIGITS = 4
 JOURNAL = "journal.jsonl"
 """Beside the runs of a suite: when which command began and how long it took."""
+CANDIDATES = "candidates"
+"""In the folder of a run: curves, policies and checkpoints of the candidates of its seeds."""
 
 
 def read_rows(path: Path) -> list[Row]:

@@ -52,6 +52,7 @@ from .curve import Row, check_overflow, diverged, make_rows, refuse_diverged
 from .folder import RunFolder
 from .logging import LoggedRun, Loggers, check_loggers, flat
 from .manager import CheckpointManager, Policies
+from .overview import CANDIDATES
 from .progress import Progress, Silent, for_terminal
 from .record import commit
 from .result import SeedResult, TrainResult, summary
@@ -274,14 +275,12 @@ def _run_candidates(
     folder: RunFolder | None,
 ) -> TrainResult:
     """Train the candidates of all seeds, in a folder of their own in that of the run."""
-    lanes, own = candidates_of(config), folder and folder.of_lane(candidates.FOLDER)
+    lanes, own = candidates_of(config), folder and folder.of_lane(CANDIDATES)
     if own and jax.process_index() == 0:
         own.prepare(fresh=False)
     wait_for_hosts("candidates")
     silent, until = Loggers((), None, progress.say), config.candidates_until
-    progress.say(
-        f"Training {len(lanes)} candidates, {config.num_candidates} for each seed, for {until:.0%} of the steps."
-    )
+    progress.say(f"Training {len(lanes)} candidates for {until:.0%} of the steps.")
     return _run(env, config, single, mesh, progress, on_log, lanes, own, silent, until)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from agym_jax.flags import parse_count
 
 from ..configs import config_for
-from ..runs.overview import read_rows, selection_of
+from ..runs.overview import CANDIDATES, read_rows, selection_of
 from ..runs.progress import duration
 from .plan import SuiteConfig, steps_for
 
@@ -43,11 +43,11 @@ class Whole:
         run = Path(self.config.save_dir) / env_name
         if self._known.get(env_name) == 1.0 or selection_of(run):
             return 1.0
-        rows, settings = read_rows(run / "curve.jsonl"), run / "config.json"
-        if not rows:
-            return 0.0
-        total = json.loads(settings.read_text())["config"]["num_env_steps"]
-        return TRAINING * min(1.0, rows[-1]["env_steps"] / total)
+        for folder in (run, run / CANDIDATES):
+            if rows := read_rows(folder / "curve.jsonl"):
+                total = json.loads((folder / "config.json").read_text())["config"]["num_env_steps"]
+                return TRAINING * min(1.0, rows[-1]["env_steps"] / total)
+        return 0.0
 
     def share(self) -> float:
         """Share of the whole that is done, where every environment counts by the steps it needs."""

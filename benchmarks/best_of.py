@@ -1,9 +1,9 @@
 """What choosing among candidates is worth, from trainings without them: ``python -m benchmarks.best_of RUN ... [--json FILE]``.
 
-RUNs are folders of trainings with several seeds, ``<save-dir>/<environment>``. Of all sets of ``--candidates`` of their seeds, the
+RUNs are folders of trainings with several seeds and no candidates, ``<save-dir>/<environment>``. Of all sets of ``--candidates`` of their seeds, the
 one that is best after a share of the steps is taken, by the rule of ``train.runs.candidates`` (successes, then return) or by its return
 alone. Its success at the end, the mean over all sets, is what ``--num-candidates`` would have given on average. Success is that of
-the training, with noise, in the last ``train.runs.candidates.ROWS`` rows of a curve.
+the training, with noise, in the newest part (``train.runs.candidates.NEWEST``) of a curve.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from agym_jax.errors import AgymError
+from agym_jax.errors import AgymError, checked_count
 from train.runs.candidates import score
 from train.runs.curve import Row
 from train.runs.overview import read_rows
@@ -27,9 +27,9 @@ from train.runs.record import append_record
 
 SHARES = (0.2, 0.3, 0.4, 0.5, 0.6)
 """Of the steps, after which one is chosen."""
-RULES: dict[str, Callable[[Sequence[Row]], Any]] = {
+RULES: dict[str, Callable[[Sequence[Row], int], Any]] = {
     "success": score,
-    "return": lambda curve: score(curve)[1],
+    "return": lambda curve, total_steps: score(curve, total_steps)[1],
 }
 
 
@@ -66,14 +66,15 @@ def best_of(curves: Sequence[Sequence[Row]], candidates: int) -> dict[str, list[
     Returns:
         ``ends`` of all seeds, and for each of ``RULES`` the mean over all sets of candidates after each of ``SHARES``.
     """
-    ends = [score(curve)[0] for curve in curves]
+    total_steps = curves[0][-1]["env_steps"]
+    ends = [score(curve, total_steps)[0] for curve in curves]
     sets = list(itertools.combinations(range(len(curves)), candidates))
     found = {"ends": ends}
     for name, rule in RULES.items():
         found[f"by_{name}"] = []
         for share in SHARES:
             rows = max(1, int(share * len(curves[0])))
-            ranks = [rule(curve[:rows]) for curve in curves]
+            ranks = [rule(curve[:rows], total_steps) for curve in curves]
             chosen = (max(of, key=ranks.__getitem__) for of in sets)
             found[f"by_{name}"].append(float(np.mean([ends[i] for i in chosen])))
     return found
@@ -94,6 +95,8 @@ def measure(run: Path, candidates: int) -> dict[str, Any]:
     about = json.loads(settings.read_text())
     trained = {name: about[name] for name in ("commit", "device", "versions", "time")}
     config = about["config"]
+    if config.get("num_candidates", 1) > 1:
+        raise BestOfError(f"{run} was trained with candidates; expected a run without.")
     return {
         "kind": "best-of", "env": run.name, "candidates": candidates, "num_seeds": len(curves), "num_env_steps": curves[0][-1]["env_steps"],
         "memory": config.get("memory"), "shares": SHARES, **best_of(curves, candidates), **trained,
@@ -104,6 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(BestOfConfig, prog="python -m benchmarks.best_of", args=arguments)
     try:
+        checked_count("--candidates", config.candidates)
         lines = [measure(run, config.candidates) for run in config.runs]
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)

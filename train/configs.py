@@ -48,8 +48,8 @@ class LearnConfig(EnvFlags):
     """Number of independent trainings run in parallel, with the seeds seed, seed + 1, ...; num_envs and num_env_steps
     apply to each of them. Policies and learning curves are stored in the run's folders seed_1, seed_2, ..."""
     num_candidates: Count = 1
-    """Begin each training this many times with different random numbers, and continue the one with the most successes, or
-    of those without, the largest return, after the fraction candidates_until of the steps."""
+    """Begin each training this many times with different random numbers; after the fraction candidates_until of the steps, only
+    the one with the highest success rate continues (if none succeeds, the one with the largest return)."""
     candidates_until: float = 0.4
     """With num_candidates: fraction of the run after which one of them continues."""
     impl: str = "auto"
@@ -199,7 +199,7 @@ class LearnConfig(EnvFlags):
                 )
         if self.noise_ceiling > 1 or self.noise_ceiling_from == 1:
             raise ConfigError(
-                f"noise_ceiling must be at most 1 and noise_ceiling_from less, got {self.noise_ceiling}, {self.noise_ceiling_from}."
+                f"noise_ceiling must be at most 1 and noise_ceiling_from less than 1, got {self.noise_ceiling}, {self.noise_ceiling_from}."
             )
         check_save_dir(self.save_dir)
         for name in SHARES:

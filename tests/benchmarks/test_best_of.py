@@ -13,7 +13,7 @@ from benchmarks.best_of import SHARES
 
 def curve(returns, successes):
     return [
-        {"return_per_step": x, "success": y, "env_steps": 100 * (i + 1)}
+        {"return_per_step": x, "success": y, "episodes": 9, "env_steps": 100 * (i + 1)}
         for i, (x, y) in enumerate(zip(returns, successes, strict=True))
     ]
 
@@ -54,6 +54,17 @@ def test_a_line_for_each_run_without_seeds_that_were_stopped(tmp_path, capsys):
     line = json.loads(lines.read_text())
     assert (line["num_seeds"], line["num_env_steps"], line["memory"]) == (4, 2000, [0.3])
     assert line["candidates"] == 4 and line["by_success"] == [0.0, 0.0, 1.0, 1.0, 1.0]
+
+
+def test_runs_with_candidates_and_no_candidates_are_refused(tmp_path, capsys):
+    run = tmp_path / "ReachingJaco-v0"
+    write_run(run, CURVES)
+    assert best_of.main([str(run), "--candidates", "0"]) == 2
+    about = json.loads((run / "config.json").read_text())
+    about["config"]["num_candidates"] = 4
+    (run / "config.json").write_text(json.dumps(about))
+    assert best_of.main([str(run)]) == 2
+    assert "was trained with candidates" in capsys.readouterr().err
 
 
 def test_too_few_seeds_are_refused(tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""Which candidates of a run continue: one for each seed, by success and return of the newest steps.
+"""Which candidates of a run continue: one for each seed, by success and return at the end of what they were trained for.
 
 This is one round of successive halving (Jamieson and Talwalkar 2016, "Non-stochastic best arm identification and hyperparameter
 optimization") over random numbers instead of hyper-parameters.
@@ -6,85 +6,121 @@ optimization") over random numbers instead of hyper-parameters.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..configs import LearnConfig
+from ..errors import CheckpointMismatchError
 from ..learning.agents import Agents
 from ..learning.seeds import SideBySide, candidates_of, lanes_of, stacked
-from .curve import Row, combine_rows
+from .curve import Row
 from .manager import CheckpointManager
+from .overview import CANDIDATES
 from .result import TrainResult
 
-ROWS = 4  # newest rows of a curve that count: 5 % of a run
+NEWEST = 0.05
+"""Fraction of a run, before the choice, in which success and return are measured."""
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """The candidates that continue.
+def score(curve: Sequence[Row], total_steps: int, limited: bool = False) -> tuple[float, float]:
+    """How good a training is at the end of its curve; larger is better.
 
-    Attributes:
-        learner: of the run that continues them.
-        curves: of each seed, so far.
-        stopped: why a seed cannot continue, where all of its candidates diverged; by the seed's name.
-        numbers: which candidate it is, from 1, by the seed's name.
-    """
-
-    learner: Any
-    curves: list[list[Row]]
-    stopped: dict[str, str]
-    numbers: dict[str, int]
-
-    def words(self) -> str:
-        """Which candidates continue."""
-        each = ", ".join(f"{number} of {name}" for name, number in self.numbers.items())
-        return f"Of the candidates, the best continue: {each}."
-
-    def hand_over(self, manager: CheckpointManager, seconds: float) -> None:
-        """Put the curves so far, and the seconds they took, at the beginning of those of a run."""
-        manager.curves, manager.stopped = self.curves, dict(self.stopped)
-        if len(self.curves) == 1:
-            manager.combined = manager.curves[0]
-        else:
-            going = [curve for curve in self.curves if curve]
-            manager.combined = [combine_rows(rows) for rows in zip(*going, strict=True)]
-        manager.seconds = seconds
-
-
-def score(curve: Sequence[Row]) -> tuple[float, float]:
-    """How good a training is, larger is better: its success rate, then its return (of an empty curve, -inf), of the newest rows.
-
-    Success comes first because what has the larger return is often what cannot be improved: a sleeve held beside the hand
+    Success comes before return because what has the larger return is often what cannot be improved: a sleeve held beside the hand
     (docs/seeds.md, "Candidates").
-    """
-    newest = curve[-ROWS:]
-    if not newest:
-        return 0.0, -np.inf
-    success = [row["success"] for row in newest if row["success"] is not None]
-    returns = [row["return_per_step"] for row in newest]
-    return float(np.mean(success)) if success else 0.0, float(np.mean(returns))
-
-
-def choose(result: TrainResult, config: LearnConfig, single: Agents) -> Chosen:
-    """The candidates with the largest scores.
 
     Args:
-        result: of all candidates, in the order of ``candidates_of``.
+        curve: its rows.
+        total_steps: environment steps of the whole run.
+        limited: whether it is trained under a cost limit; then gentle successes count as much as all of them.
+
+    Returns:
+        The success rate of the episodes that ended in the newest rows (0 if none did), with a limit the mean of that and the rate of
+        gentle successes; and the mean return. Of an empty curve, 0 and minus infinity.
+    """
+    if not curve:
+        return 0.0, -np.inf
+    begin = curve[-1]["env_steps"] - NEWEST * total_steps
+    newest = [row for row in curve if row["env_steps"] > begin]
+    names = ("success", "gentle") if limited else ("success",)
+    ended = [row for row in newest if all(row.get(name) is not None for name in names)]
+    rate = 0.0
+    if weights := [row["episodes"] for row in ended]:
+        rate = float(np.average([np.mean([row[x] for x in names]) for row in ended], None, weights))
+    return rate, float(np.mean([row["return_per_step"] for row in newest]))
+
+
+def hand_over(
+    before: TrainResult,
+    config: LearnConfig,
+    single: Agents,
+    manager: CheckpointManager,
+    say: Callable[[str], None],
+) -> Any:
+    """Choose the candidates with the largest scores, and begin the curves of the run with theirs.
+
+    Args:
+        before: result of all candidates, in the order of ``candidates_of``.
         config: of the run.
         single: the agents of one training.
+        manager: of the run.
+        say: is told which candidates continue.
+
+    Returns:
+        The learner of the run. A seed of which all candidates diverged is stopped.
     """
-    lanes, count = lanes_of(config), config.num_candidates
-    learners = SideBySide(single, candidates_of(config)).of_seeds(result.learner)
-    best, stopped, numbers = [], {}, {}
-    for i, lane in enumerate(lanes):
+    count, limited = config.num_candidates, config.cost_limit is not None
+    chosen, numbers = [], {}
+    for i, lane in enumerate(lanes_of(config)):
         group = range(i * count, (i + 1) * count)
-        sound = [j for j in group if not result.seeds[j].stopped]
-        best.append(max(sound or group, key=lambda j: score(result.seeds[j].curve)))
-        numbers[lane.name] = best[-1] - group.start + 1
+        sound = [j for j in group if not before.seeds[j].stopped]
+        scores = {j: score(before.seeds[j].curve, config.num_env_steps, limited) for j in group}
+        chosen.append(max(sound or group, key=lambda j, scores=scores: scores[j]))
+        numbers[lane.name] = chosen[-1] - group.start + 1
         if not sound:
-            stopped[lane.name] = result.seeds[best[-1]].stopped
-    curves = [list(result.seeds[j].curve) for j in best]
-    return Chosen(stacked([learners[j] for j in best]), curves, stopped, numbers)
+            manager.stopped[lane.name] = before.seeds[chosen[-1]].stopped
+    manager.candidates = {
+        "count": count, "until": config.candidates_until, "rule": "success", "chosen": numbers,
+    }  # fmt: skip
+    manager.continue_curves([list(before.seeds[j].curve) for j in chosen])
+    each = ", ".join(f"candidate {number} of {name}" for name, number in numbers.items())
+    say(f"Continuing with the best candidates: {each}.")
+    learners = SideBySide(single, candidates_of(config)).of_seeds(before.learner)
+    return stacked([learners[j] for j in chosen])
+
+
+def refuse_unfinished(run: Path, config: LearnConfig) -> None:
+    """Refuse to start from nothing beside the candidates of a run that was interrupted.
+
+    Raises:
+        CheckpointMismatchError: there are such.
+    """
+    if config.num_candidates == 1 and any((run / CANDIDATES / "checkpoints").glob("step_*.npz")):
+        raise CheckpointMismatchError(
+            f"{str(run)!r} has candidates of which none has been chosen yet. Continue them with --num-candidates as before, "
+            f"choose another --save-dir, or start over with --fresh (which moves the folder aside)."
+        )
+
+
+def say_what_stays(
+    begun: dict[str, Any] | None, config: LearnConfig, say: Callable[[str], None]
+) -> None:
+    """Say if a run that goes on began with other candidates than are asked for now.
+
+    Args:
+        begun: ``CheckpointManager.candidates``.
+        config: of the run.
+        say: is told.
+    """
+    count, until = (begun["count"], begun["until"]) if begun else (1, config.candidates_until)
+    if (count, until) != (config.num_candidates, config.candidates_until if count > 1 else until):
+        many = (
+            f"{count} candidates for each seed, until {until:.0%} of the steps"
+            if begun
+            else "no candidates"
+        )
+        say(
+            f"This run began with {many}; --num-candidates and --candidates-until have no effect on it now."
+        )

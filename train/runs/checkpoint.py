@@ -8,8 +8,10 @@ environments are not saved: a resumed run begins with fresh episodes.
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,10 @@ from ..errors import CheckpointMismatchError, CheckpointWarning
 
 FORMAT = 2
 KEEP = 3
+UNIMPORTANT = (
+    "save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts", "logger", "num_candidates", "candidates_until",
+)  # fmt: skip
+"""Settings whose changes are not told; of the last two, ``train.runs.candidates`` tells."""
 
 
 @dataclass(frozen=True)
@@ -189,3 +195,21 @@ def load_newest(folder: Path, template: Any, compatibility: Mapping[str, Any]) -
             f"moves them aside."
         )
     return None
+
+
+def say_resumed(
+    say: Callable[[str], None], meta: Mapping[str, Any], config: Any, steps: int
+) -> None:
+    """Say where a run goes on, and which settings differ from before.
+
+    Args:
+        say: is told.
+        meta: of the checkpoint.
+        config: dataclass of the settings now.
+        steps: environment steps of the checkpoint.
+    """
+    say(f"Continuing from step {steps:,} with fresh episodes (--fresh starts over).")
+    ours, theirs = json.loads(json.dumps(dataclasses.asdict(config))), meta.get("config", {})
+    for name, value in ours.items():
+        if name not in UNIMPORTANT and name in theirs and theirs[name] != value:
+            say(f"  {name} is now {value!r}; it was {theirs[name]!r}.")

@@ -49,6 +49,8 @@ class CheckpointManager:
         curves: of each lane, rows of all sessions.
         combined: rows for all lanes together; with one lane, its curve.
         stopped: name of a lane -> why it was stopped.
+        candidates: how many candidates each lane had (``count``), the fraction of the run after which one of them continued (``until``), by
+            which ``rule``, and its number for each lane (``chosen``); None without candidates.
         seconds: that earlier sessions trained.
         saved_steps: environment steps of the newest checkpoint.
         trouble: why the latest results are not on disk; empty if they are.
@@ -71,6 +73,7 @@ class CheckpointManager:
         self.curves: list[list[Row]] = [[] for _ in self.lanes]
         self.combined: list[Row] = self.curves[0] if len(self.lanes) == 1 else []
         self.stopped: dict[str, str] = {}
+        self.candidates: dict[str, Any] | None = None
         self.seconds, self.saved_steps = 0.0, 0
         self.trouble = ""
         self._loggers = loggers or Loggers((), None, say)
@@ -116,6 +119,7 @@ class CheckpointManager:
         self.combined, self.seconds = meta["curve"], meta["seconds"]
         self.curves = meta.get("curves") or [self.combined]
         self.stopped = dict(meta.get("stopped", {}))
+        self.candidates = meta.get("candidates")
         self.saved_steps = steps_of(found.learner)
         return found.learner, meta
 
@@ -130,24 +134,34 @@ class CheckpointManager:
         if not self._folder:
             return
         try:
-            if not self.saved_steps:
+            resumed_from_step = self.saved_steps or None
+            if not resumed_from_step:
                 save_checkpoint(self._folder.checkpoints, learner, self._meta(0.0))
+                self.saved_steps = steps_of(learner)
             for folder in self._folders():
                 check_writable(folder.path)
-            self._write_curves()
             self._folder.write_config(
                 self._config,
-                resumed_from_step=self.saved_steps or None,
+                resumed_from_step=resumed_from_step,
                 impl=str(getattr(self._env, "impl", self._config.impl)),
+                candidates=self.candidates,
             )
+            self._write_curves()
             self._loggers.begin(self._named())
         except SaveFolderError:
             raise
         except OSError as error:
             raise SaveFolderError(
-                f"Cannot write to the folder {str(self._folder.path)!r}: {error.strerror or error}. Nothing has been "
-                f"computed yet. Make room, or choose another with --save-dir."
+                f"Cannot write to the folder {str(self._folder.path)!r}: {error.strerror or error}. Make room and rerun the same "
+                f"command, or choose another folder with --save-dir."
             ) from error
+
+    def continue_curves(self, curves: list[list[Row]]) -> None:
+        """Begin the curve of each lane with rows from before, some of which may have ended early."""
+        self.curves, longest = curves, max(curves, key=len)
+        rows = [[curve[i] for curve in curves if len(curve) > i] for i in range(len(longest))]
+        self.combined = curves[0] if len(curves) == 1 else [combine_rows(x) for x in rows]
+        self.seconds = longest[-1]["seconds"] if longest else 0.0
 
     def _named(self) -> dict[str, list[Row]]:
         """The curves as loggers are given them."""
@@ -194,9 +208,11 @@ class CheckpointManager:
     def policies(self, learner: Any) -> list[Policies]:
         """The policies of a learner by agent, for each lane."""
         learners = self._agents.of_seeds(to_host(learner))
+        chosen = self.candidates["chosen"] if self.candidates else {}
         return [
-            self._agents.policies(own, {**self._info, "seed": lane.seed})
+            self._agents.policies(own, {**self._info, "seed": lane.seed, **number})
             for lane, own in zip(self.lanes, learners, strict=True)
+            for number in [{"candidate": chosen[lane.name]} if lane.name in chosen else {}]
         ]
 
     def _meta(self, seconds: float) -> dict[str, Any]:
@@ -207,6 +223,8 @@ class CheckpointManager:
             "seconds": self.seconds + seconds,
             "config": dataclasses.asdict(self._config),
         }
+        if self.candidates:
+            meta["candidates"] = self.candidates
         if len(self.lanes) > 1:
             meta |= {"curves": self.curves, "stopped": self.stopped}
         return meta

@@ -91,8 +91,8 @@ def training_summary(run: Path) -> dict[str, Any] | None:
         ``num_envs, impl``, seconds of training (``train_seconds``, building excluded) and of the whole
         processes (``wall_seconds``, where a suite has kept them), when the interquartile mean of success first
         was ``ENOUGH`` (``steps_to_90, seconds_to_90``), the ``curve``, ``cost_limit``, ``cost_multiplier_max`` and ``cost_margin``,
-        ``started_from`` and ``person_started_from`` (policies of robot and person, None if they were new), ``candidates`` (how many each
-        seed had, and the share of the steps after which one of them continued; None without), and commit, device, versions, time.
+        ``started_from`` and ``person_started_from`` (policies of robot and person, None if they were new), ``candidates``
+        (see ``CheckpointManager``; None without), and commit, device, versions, time.
     """
     rows, path = read_rows(run / "curve.jsonl"), run / "config.json"
     if not rows:
@@ -119,23 +119,18 @@ def training_summary(run: Path) -> dict[str, Any] | None:
         "cost_margin": config.get("cost_margin", 0.0),
         "started_from": config.get("robot_policy"),
         "person_started_from": config.get("human_policy"),
-        "candidates": candidates_in(config),
+        "candidates": about.get("candidates"),
         **{name: about.get(name) for name in ("commit", "device", "versions", "time")},
     }
 
 
-def candidates_in(config: Mapping[str, Any]) -> list[float] | None:
-    """How many candidates each seed of a run had, and the share of the steps after which one of them continued; None without."""
-    count = config.get("num_candidates", 1)
-    return [count, config["candidates_until"]] if count > 1 else None
-
-
-def seeds_and_steps(seeds: int, steps: int, candidates: Sequence[float] | None = None) -> str:
-    """``8 x 4 M``, or ``8 x 4 M, of 4 candidates after 30%``."""
+def seeds_and_steps(seeds: int, steps: int, candidates: Mapping[str, Any] | None = None) -> str:
+    """``8 x 4 M``, or ``8 x 4 M, of 4 candidates after 40% by success``."""
     text = f"{seeds} x {steps / 1e6:.3g} M"
-    return (
-        f"{text}, of {candidates[0]} candidates after {candidates[1]:.0%}" if candidates else text
-    )
+    if not candidates:
+        return text
+    after = f"after {candidates['until']:.0%} by {candidates['rule']}"
+    return f"{text}, of {candidates['count']} candidates {after}"
 
 
 def selection_of(run: Path) -> dict[str, Any] | None:

@@ -38,12 +38,12 @@ class TrainResult:
     """The result of a run.
 
     Attributes:
-        seeds: the results of its seeds.
+        seeds: the results of its seeds; if it was stopped before one candidate of each was chosen, of all candidates.
         learner: the learner, to continue in Python.
         config: settings with all automatic values filled in.
         curve: rows of the learning curve, from all sessions; with several seeds, those of ``combine_rows``.
         env_steps: environment steps of each seed, over all sessions.
-        session_steps: environment steps of all seeds in this session.
+        session_steps: environment steps of all seeds, and of their candidates, in this session.
         compile_seconds: time for tracing and compilation.
         train_seconds: training time of this session, including logging and saving.
         nan_steps: steps of this session in which an environment became non-finite.
@@ -51,6 +51,7 @@ class TrainResult:
         folder: folder of the files; None if nothing was written.
         unsaved: why the end of the run could not be saved, for example because the disk is full; empty if it was saved.
         saved_steps: environment steps of the newest checkpoint.
+        of_candidates: whether it was stopped before one candidate of each seed was chosen.
     """
 
     seeds: list[SeedResult]
@@ -66,6 +67,7 @@ class TrainResult:
     folder: Path | None
     unsaved: str = ""
     saved_steps: int = 0
+    of_candidates: bool = False
 
     @property
     def policies(self) -> Mapping[str, Policy]:
@@ -83,7 +85,7 @@ class TrainResult:
         return self.session_steps / max(self.train_seconds, 1e-9)
 
     def after(self, before: TrainResult) -> TrainResult:
-        """Return this result with the steps and times of a part of the session before it added."""
+        """Return this result with the steps and times of an earlier part of the session added."""
         added = ("session_steps", "compile_seconds", "train_seconds", "nan_steps")
         sums = {name: getattr(self, name) + getattr(before, name) for name in added}
         return replace(self, **sums)
@@ -112,7 +114,8 @@ def summary(result: TrainResult) -> str:
     if result.last("gentle") is not None:
         gentle = f", gentle {shown('gentle', '.0%')}"
     if len(result.seeds) > 1:
-        seeds = f" with each of {len(result.seeds)} seeds"
+        kind = "candidates" if result.of_candidates else "seeds"
+        seeds = f" with each of {len(result.seeds)} {kind}"
         spread = f" ({shown('success_min', '.0%')} to {shown('success_max', '.0%')})"
     ended = result.last_row("return")  # the last one in which episodes ended
     older = ended and ended["env_steps"] < result.env_steps
@@ -140,6 +143,8 @@ def _files(result: TrainResult, folder: Path) -> str:
     if len(result.seeds) == 1:
         what = "Policy" if len(result.policies) == 1 else "Policies"
         return f"{what}, curve.png, curve.jsonl, checkpoints: {folder}"
+    if result.of_candidates:
+        return f"curve.png, curve.jsonl, checkpoints of the candidates: {folder}"
     run = folder / "SETTING" if "/" in result.seeds[0].name else folder  # one of a sweep's, or all
     text = f"curve.png, curve.jsonl, checkpoints: {folder}; each seed's policy: {run / 'seed_N'}"
     if result.interrupted or result.unsaved:

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +46,7 @@ from ..learning.seeds import (
 from ..learning.sharding import AXIS, device_mesh, replicate, shard, shardings, to_host
 from ..learning.update import make_updates
 from . import candidates
-from .checkpoint import steps_of
+from .checkpoint import say_resumed, steps_of
 from .curve import Row, check_overflow, diverged, make_rows, refuse_diverged
 from .folder import RunFolder
 from .logging import LoggedRun, Loggers, check_loggers, flat
@@ -58,7 +57,6 @@ from .record import commit
 from .result import SeedResult, TrainResult, summary
 
 SAVE_PERIOD = 60.0  # seconds after which a checkpoint is due at the next log line
-UNIMPORTANT = ("save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts", "logger")
 GPU_OPTIONS = {"xla_gpu_enable_triton_gemm": False}
 """Of the compiler: trying out Triton's matrix products takes half of the time to compile, and cuBLAS wins."""
 OnLog = Callable[[Row, Callable[[], Policies]], bool | None]
@@ -104,6 +102,10 @@ def run_session(
     Returns:
         Policies, learning curve and times.
     """
+    if config.num_candidates > 1 and (lanes or isinstance(env, StepwiseEnv)):
+        raise ConfigError(
+            "--num-candidates does not work in a sweep, or with a StepwiseEnv, whose batch size is compiled in."
+        )
     is_main_process = jax.process_index() == 0  # one host writes, and tells
     progress = (progress if is_main_process else None) or Silent()
     folder = RunFolder(config.save_dir, env.name) if config.save_dir is not None else None
@@ -144,31 +146,34 @@ def _run(
     loggers: Loggers,
     until: float | None = None,
 ) -> TrainResult:
-    """``run_session`` in a folder that is ours; that of candidates, until a fraction of the steps."""
+    """``run_session`` in a folder that is ours, or the training of candidates until a fraction of its steps."""
     is_main_process = jax.process_index() == 0
     start = time.perf_counter()
     lanes = list(lanes or lanes_of(config))
     agents = SideBySide(single, lanes) if len(lanes) > 1 else single
     num_envs = config.num_envs * len(lanes)
-    venv = vectorize(env, num_envs // config.devices)
     key_learner, key_envs = split_keys(lane_keys(lanes))
     manager = CheckpointManager(
         env, config, agents, folder, lanes, is_main_process, progress.say, loggers
     )
     learner, meta = manager.resume(jax.jit(agents.init)(key_learner))
     before: TrainResult | None = None
-    if not meta and config.num_candidates > 1 and until is None:
+    if until is None and meta:
+        candidates.say_what_stays(manager.candidates, config, progress.say)
+    elif until is None and config.num_candidates > 1:
+        loggers.begin({"": []})  # what they need is known now, not after hours
         before = _run_candidates(env, config, single, mesh, progress, on_log, folder)
         if before.interrupted:
             return before
-        chosen = candidates.choose(before, config, single)
-        chosen.hand_over(manager, before.train_seconds)
-        learner = chosen.learner
-        progress.say(chosen.words())
+        learner = candidates.hand_over(before, config, single, manager, progress.say)
+        before, start = dataclasses.replace(before, learner=None, seeds=[]), time.perf_counter()
+    elif until is None and folder:
+        candidates.refuse_unfinished(folder.path, config)
+    venv = vectorize(env, num_envs // config.devices)
     first_steps = steps_of(learner)
     if meta:
-        _say_resumed(progress, meta, config, first_steps)
-    else:
+        say_resumed(progress.say, meta, config, first_steps)
+    elif not before:
         for policy in filter(None, (agent.start for agent in single.agents)):
             if otherwise := trained_otherwise(policy, env):
                 progress.say(f"The policy it starts from was trained otherwise: {otherwise}.")
@@ -188,7 +193,7 @@ def _run(
             run = make_updates(venv, config, agents, execution=STEPWISE)
         else:
             learner, rollout, run = _compile(venv, config, agents, learner, key_envs, mesh)
-    elif until is None:
+    elif until is None and not before:
         progress.say("This run is complete; raise --num-env-steps to continue it.")
     compile_seconds = time.perf_counter() - start
 
@@ -232,7 +237,7 @@ def _run(
             since_save += count
             due = since_save >= config.save_interval or now - last_save > SAVE_PERIOD
             if on_log and on_log(row, lambda kept=learner: manager.policies(kept)[0]):
-                interrupted = env_steps < end
+                interrupted = env_steps < total_steps
             save = manager.save if env_steps < end else manager.save_end
             if (due or interrupted or env_steps >= end) and save(learner, now - start):
                 since_save, last_save = 0, time.perf_counter()
@@ -261,6 +266,7 @@ def _run(
         folder=folder.path if folder and is_main_process else None,
         unsaved=manager.trouble,
         saved_steps=manager.saved_steps,
+        of_candidates=until is not None,
     )
     return result.after(before) if before else result
 
@@ -280,7 +286,9 @@ def _run_candidates(
         own.prepare(fresh=False)
     wait_for_hosts("candidates")
     silent, until = Loggers((), None, progress.say), config.candidates_until
-    progress.say(f"Training {len(lanes)} candidates for {until:.0%} of the steps.")
+    progress.say(
+        f"Training {len(lanes)} candidates; after {until:.0%} of the steps, one of each seed continues."
+    )
     return _run(env, config, single, mesh, progress, on_log, lanes, own, silent, until)
 
 
@@ -322,17 +330,6 @@ def _lower_and_compile(
     update = update.lower(learner, rollout, np.int32(1), agents.hyper(1))
     options = GPU_OPTIONS if jax.default_backend() == "gpu" else None
     return compile_together(update, reset, options=options)
-
-
-def _say_resumed(
-    progress: Progress, meta: Mapping[str, Any], config: LearnConfig, steps: int
-) -> None:
-    """Tell where a run goes on, and which settings differ from before."""
-    progress.say(f"Continuing from step {steps:,} with fresh episodes (--fresh starts over).")
-    ours, theirs = json.loads(json.dumps(dataclasses.asdict(config))), meta.get("config", {})
-    for name, value in ours.items():
-        if name not in UNIMPORTANT and name in theirs and theirs[name] != value:
-            progress.say(f"  {name} is now {value!r}; it was {theirs[name]!r}.")
 
 
 def _on_terminate(*_: Any) -> None:

@@ -10,7 +10,17 @@ import numpy as np
 
 from agym_jax.registry import parse
 from agym_jax.tasks import TASKS
-from benchmarks.markdown import NOTHING, RESULTS, Line, grid, read_results, several, table
+from benchmarks.markdown import (
+    EARLIER,
+    NOTHING,
+    RESULTS,
+    Line,
+    grid,
+    is_earlier,
+    read_results,
+    several,
+    table,
+)
 from benchmarks.speed_tables import BATCH
 
 
@@ -130,5 +140,8 @@ def best_of(folder: Path = RESULTS) -> str:
     shares = lines[0]["shares"]
     heads = ("task", "trainings", "all seeds", *(f"the best after {share:.0%}" for share in shares))
     sizes = several(f"{x['candidates']} of {x['num_seeds']} seeds" for x in lines)
-    note = f"Sets of {sizes}, by success (by return alone); success while training, with noise;"
+    note = (
+        f"Sets of {sizes}, by success (by return alone); success while training, with noise; {EARLIER} {sum(map(is_earlier, lines))} of "
+        f"the {len(lines)} trainings;"
+    )
     return grid([heads, *rows], lines, note)

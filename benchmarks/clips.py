@@ -16,6 +16,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from agym_jax.errors import did_you_mean
+from agym_jax.memory import Memory
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.registry import active_id
 from agym_jax.rendering.clips import contact_sheet, write_clip
@@ -37,10 +38,12 @@ SIZE = (320, 240)
 MOMENTS = (0, 15, 30, 60, 100, 200)  # steps that a sheet shows
 
 
-def play(env_name: str, every: int, width: int, height: int) -> tuple[list[Frame], list]:
+def play(
+    env_name: str, every: int, width: int, height: int, memory: Memory = ()
+) -> tuple[list[Frame], list]:
     """The episode of ``SEED``: every n-th frame and its picture (height, width, 3), uint8."""
-    env = make_env(env_name, "native")
-    policy = load_policies(find_policies(env_name, None, None, None), env, False)
+    env = make_env(env_name, "native", memory=memory)
+    policy = load_policies(find_policies(env_name, memory=memory), env, False)
     frames = list(Player(env, policy, deterministic=True).episode(SEED))[::every]
     config = EnjoyConfig(env_name=env_name, width=width, height=height)
     return frames, film(env, frames, config)
@@ -56,16 +59,16 @@ def front_page() -> None:
     contact_sheet([pictures[i] for i in shown], f"{name}_sheet.png", columns=4, labels=labels)
 
 
-def draw(env_name: str) -> None:
-    """The film of one environment."""
-    frames, pictures = play(env_name, EVERY, 2 * SIZE[0], 2 * SIZE[1])
+def draw(env_name: str, folder: Path = CLIPS, memory: Memory = ()) -> None:
+    """The film of the policy that ships for an environment with a memory, or without."""
+    frames, pictures = play(env_name, EVERY, 2 * SIZE[0], 2 * SIZE[1], memory)
     small = [Image.fromarray(x).resize(SIZE, Image.Resampling.LANCZOS) for x in pictures]
     for frame, picture in zip(frames, small, strict=True):
         done = "  success" if frame.success else ""
         ImageDraw.Draw(picture).text((6, 4), f"{frame.step / 10:.1f} s{done}", fill=(20, 20, 20))
     film_of = [*small, *[small[-1]] * LAST]
     film_of[0].save(
-        CLIPS / f"{env_name}.webp", save_all=True, append_images=film_of[1:], duration=100, loop=0,
+        folder / f"{env_name}.webp", save_all=True, append_images=film_of[1:], duration=100, loop=0,
         quality=45, method=5,
     )  # fmt: skip
 

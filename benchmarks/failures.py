@@ -18,6 +18,7 @@ import numpy as np
 from PIL import Image
 
 from agym_jax.errors import did_you_mean
+from agym_jax.memory import Memory
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.policy.policy import shipped
 from agym_jax.registry import static_id
@@ -40,10 +41,16 @@ OFTEN = 0.98
 """Success rate from which on failures are not looked for."""
 
 
-def strip(env_name: str) -> bool:
-    """Draw the strip of one policy; False if no episode fails among those that are looked through."""
-    env = make_env(env_name, "native")
-    policy = load_policies(find_policies(env_name, None, None, None), env, False)
+def strip(env_name: str, folder: Path | None = None, memory: Memory = ()) -> bool:
+    """Draw the strip of one policy; False if no episode fails among those that are looked through.
+
+    Args:
+        env_name: environment id.
+        folder: of the picture; by default that of policies without a memory.
+        memory: of the policy.
+    """
+    env = make_env(env_name, "native", memory=memory)
+    policy = load_policies(find_policies(env_name, memory=memory), env, False)
     config = EnjoyConfig(env_name=env_name, width=2 * SIZE[0], height=2 * SIZE[1])
     pictures: list[Any] = []
     labels: list[str] = []
@@ -58,7 +65,7 @@ def strip(env_name: str) -> bool:
         labels += [who, *(moment(env, frame) for frame in shown[1:])]
     if not pictures:
         return False
-    path = FAILURES / f"{env_name}.png"
+    path = (folder or FAILURES) / f"{env_name}.png"
     contact_sheet(pictures, path, columns=MOMENTS, labels=labels)
     with Image.open(path) as image:
         image.convert("RGB").save(path.with_suffix(".jpg"), quality=75)

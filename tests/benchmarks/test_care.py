@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agym_jax.human.population import Human
-from benchmarks import care_tables, failures, shipped
+from benchmarks import care_tables, failures, memory_films, shipped
 from train.evaluation.people import describe
 
 
@@ -130,6 +130,18 @@ def test_strips_of_failures_are_filled_into_the_page(tmp_path, monkeypatch):
     assert "(images/failures/FeedingPR2-v0.jpg)" in found and found.endswith("\nafter")
     assert failures.fill(found) == found
     assert failures.main(["FeedingPR3-v0"]) == 2
+
+
+def test_films_of_policies_with_a_memory_are_shown_on_their_page(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(memory_films, "FOLDER", tmp_path)
+    for name in ("A.webp", "B.webp", "B.jpg"):
+        (tmp_path / name).touch()
+    found = memory_films.fill("before\n<!-- films -->\nold\n<!-- /films -->\nafter")
+    assert "| A | B |\n|---|---|\n| ![A](images/memory/A.webp) | ![B]" in found
+    assert "![B fails](images/memory/B.jpg)" in found and "old" not in found
+    assert memory_films.fill(found) == found
+    assert memory_films.main(["BedBathingPR3-v0"]) == 2
+    assert "BedBathingPR2-v0" in capsys.readouterr().err
 
 
 def test_policies_can_be_measured_with_other_flags(monkeypatch, capsys, tmp_path):

@@ -9,6 +9,7 @@ from parity_rows import assert_rows_hold_or_name_a_deviation
 
 from benchmarks.parity import scooper
 
+pytestmark = pytest.mark.xdist_group("scooper")  # one process replays the episodes, once
 MATERIALS_ROLLING = 0.15  # rolling friction of tool and mattress, as Bullet multiplies [m]
 
 

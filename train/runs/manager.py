@@ -151,9 +151,10 @@ class CheckpointManager:
         except SaveFolderError:
             raise
         except OSError as error:
+            lost = "" if self.saved_steps or self.candidates else " Nothing has been computed yet."
             raise SaveFolderError(
-                f"Cannot write to the folder {str(self._folder.path)!r}: {error.strerror or error}. Make room and rerun the same "
-                f"command, or choose another folder with --save-dir."
+                f"Cannot write to the folder {str(self._folder.path)!r}: {error.strerror or error}.{lost} Make room and rerun the "
+                f"same command, or choose another folder with --save-dir."
             ) from error
 
     def continue_curves(self, curves: list[list[Row]]) -> None:

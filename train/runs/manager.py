@@ -133,8 +133,8 @@ class CheckpointManager:
         """
         if not self._folder:
             return
+        resumed_from_step = self.saved_steps or None
         try:
-            resumed_from_step = self.saved_steps or None
             if not resumed_from_step:
                 save_checkpoint(self._folder.checkpoints, learner, self._meta(0.0))
                 self.saved_steps = steps_of(learner)
@@ -151,7 +151,8 @@ class CheckpointManager:
         except SaveFolderError:
             raise
         except OSError as error:
-            lost = "" if self.saved_steps or self.candidates else " Nothing has been computed yet."
+            handed_over = self.candidates and not resumed_from_step
+            lost = "" if handed_over else " Nothing has been computed yet."
             raise SaveFolderError(
                 f"Cannot write to the folder {str(self._folder.path)!r}: {error.strerror or error}.{lost} Make room and rerun the "
                 f"same command, or choose another folder with --save-dir."

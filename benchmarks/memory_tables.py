@@ -101,16 +101,17 @@ def policies(folder: Path = RESULTS) -> str:
         run = run_of(name, read_npz(file)[1], folder)
         if run is None:
             continue
-        used += [run, *(of[name] for of in (everybody_now, there_now) if name in of)]
+        of_it = [_of_policy(of.get(name), run) for of in (everybody_now, there_now)]
+        used += [run, *filter(None, of_it)]
         rows.append(
             [
                 name,
                 _times(run),
                 _both(_success, here.get(name), run["reported"]),
-                _both(_success, everybody.get(name), everybody_now.get(name)),
-                _both(_least, everybody.get(name), everybody_now.get(name)),
+                _both(_success, everybody.get(name), of_it[0]),
+                _both(_least, everybody.get(name), of_it[0]),
                 _both(_peak, here.get(name), run["reported"]),
-                _both(_count, there.get(name), there_now.get(name)),
+                _both(_count, there.get(name), of_it[1]),
             ]
         )
     heads = (
@@ -126,6 +127,12 @@ def policies(folder: Path = RESULTS) -> str:
 
 def _by_env(lines: list[Line]) -> dict[str, Line]:
     return {x["env"]: x for x in lines}
+
+
+def _of_policy(line: Line | None, run: Line) -> Line | None:
+    """A result line if it is of the policy that a run chose, not of one that shipped before."""
+    of = line and line.get("policy_commit", line["commit"])
+    return line if of and of[:COMMIT] == run["policy_commit"][:COMMIT] else None
 
 
 def _both(told: Callable[[Line], str], before: Line | None, after: Line | None) -> str:

@@ -131,8 +131,10 @@ def _by_env(lines: list[Line]) -> dict[str, Line]:
 
 def _of_policy(line: Line | None, run: Line) -> Line | None:
     """A result line if it is of the policy that a run chose, not of one that shipped before."""
-    of = line and line.get("policy_commit", line["commit"])
-    return line if of and of[:COMMIT] == run["policy_commit"][:COMMIT] else None
+    if line is None:
+        return None
+    of = line.get("policy_commit", line["commit"])
+    return line if of[:COMMIT] == run["policy_commit"][:COMMIT] else None
 
 
 def _both(told: Callable[[Line], str], before: Line | None, after: Line | None) -> str:

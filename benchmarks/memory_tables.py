@@ -92,7 +92,7 @@ def policies(folder: Path = RESULTS) -> str:
     here, everybody = _by_env(usual), _by_env(among_everybody(folder))
     there = _by_env(markdown.read_results("in_assistive_gym", ("env",), folder))
     everybody_now, there_now = (
-        _by_env(markdown.read_results(f"memory_{name}", ("env",), folder, changed=True))
+        markdown.read_results(f"memory_{name}", ("env", "time"), folder, changed=True)
         for name in ("everybody", "in_assistive_gym")
     )
     rows, used = [], []
@@ -101,7 +101,7 @@ def policies(folder: Path = RESULTS) -> str:
         run = run_of(name, read_npz(file)[1], folder)
         if run is None:
             continue
-        of_it = [_of_policy(of.get(name), run) for of in (everybody_now, there_now)]
+        of_it = [_of_policy(lines, run) for lines in (everybody_now, there_now)]
         used += [run, *filter(None, of_it)]
         rows.append(
             [
@@ -129,12 +129,12 @@ def _by_env(lines: list[Line]) -> dict[str, Line]:
     return {x["env"]: x for x in lines}
 
 
-def _of_policy(line: Line | None, run: Line) -> Line | None:
-    """A result line if it is of the policy that a run chose, not of one that shipped before."""
-    if line is None:
-        return None
-    of = line.get("policy_commit", line["commit"])
-    return line if of[:COMMIT] == run["policy_commit"][:COMMIT] else None
+def _of_policy(lines: list[Line], run: Line) -> Line | None:
+    """The newest result line of the policy that a run chose; None if there are only others."""
+    of = [x for x in lines if x["env"] == run["env"]]
+    commits = [x.get("policy_commit", x["commit"])[:COMMIT] for x in of]
+    same = [x for x, y in zip(of, commits, strict=True) if y == run["policy_commit"][:COMMIT]]
+    return same[-1] if same else None
 
 
 def _both(told: Callable[[Line], str], before: Line | None, after: Line | None) -> str:

@@ -20,6 +20,7 @@ import numpy as np
 import tyro
 
 from agym_jax.errors import AgymError, checked_count
+from train.errors import reports_errors
 from train.runs.candidates import score
 from train.runs.curve import Row
 from train.runs.overview import read_rows
@@ -103,15 +104,12 @@ def measure(run: Path, candidates: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(BestOfConfig, prog="python -m benchmarks.best_of", args=arguments)
-    try:
-        checked_count("--candidates", config.candidates)
-        lines = [measure(run, config.candidates) for run in config.runs]
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
+    checked_count("--candidates", config.candidates)
+    lines = [measure(run, config.candidates) for run in config.runs]
     print(
         f"success of all seeds, and of the best of {config.candidates} after {SHARES} of the steps"
     )

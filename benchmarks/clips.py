@@ -15,15 +15,16 @@ import jax
 import numpy as np
 from PIL import Image, ImageDraw
 
-from agym_jax.errors import did_you_mean
 from agym_jax.memory import Memory
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.registry import active_id
 from agym_jax.rendering.clips import contact_sheet, write_clip
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
+from benchmarks.ids import asked_ids
 from train.enjoy import EnjoyConfig, Frame, Player, caption, film
 from train.envs import make_env
+from train.errors import reports_errors
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 CLIPS = DOCS / "images" / "clips"
@@ -115,15 +116,12 @@ def page() -> str:
     return "\n".join(lines) + "\n"
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line: environment ids, if not all that have a policy."""
     jax.config.update("jax_platforms", "cpu")
     there = sorted(path.stem for path in POLICIES.glob("*-v0.npz"))
-    names = (sys.argv[1:] if arguments is None else list(arguments)) or there
-    unknown = next((name for name in names if name not in there), None)
-    if unknown:
-        print(f"No policy ships for {unknown!r}. {did_you_mean(unknown, there)}", file=sys.stderr)
-        return 2
+    names = asked_ids(arguments, there) or there
     CLIPS.mkdir(parents=True, exist_ok=True)
     for i, name in enumerate(names):
         print(f"\r{i + 1}/{len(names)} {name:<24}", end="", flush=True)

@@ -17,16 +17,17 @@ import jax
 import numpy as np
 from PIL import Image
 
-from agym_jax.errors import did_you_mean
 from agym_jax.memory import Memory
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.policy.policy import shipped
 from agym_jax.registry import static_id
 from agym_jax.rendering.clips import contact_sheet
 from agym_jax.spec import Measured
+from benchmarks.ids import asked_ids
 from benchmarks.markdown import read_results
 from train.enjoy import LOOK_THROUGH, EnjoyConfig, Frame, Player, film
 from train.envs import make_env
+from train.errors import reports_errors
 from train.evaluation.outcome import in_words
 from train.evaluation.people import describe
 
@@ -104,14 +105,11 @@ def failing() -> list[str]:
     return [name for name in alone if rates.get(name, 0.0) < OFTEN]
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line: environment ids, if not all whose policies fail now and then."""
     jax.config.update("jax_platforms", "cpu")
-    names = (sys.argv[1:] if arguments is None else list(arguments)) or failing()
-    unknown = next((name for name in names if name not in shipped()), None)
-    if unknown:
-        print(f"No policy ships for {unknown!r}. {did_you_mean(unknown, shipped())}", file=sys.stderr)  # fmt: skip
-        return 2
+    names = asked_ids(arguments, shipped()) or failing()
     FAILURES.mkdir(parents=True, exist_ok=True)
     for i, name in enumerate(names, 1):
         print(f"{i}/{len(names)} {name}", flush=True)

@@ -12,10 +12,11 @@ from collections.abc import Sequence
 
 import jax
 
-from agym_jax.errors import did_you_mean
 from agym_jax.memory import SHIPPED
 from agym_jax.policy.policy import shipped
 from benchmarks import clips, failures
+from benchmarks.ids import asked_ids
+from train.errors import reports_errors
 
 PAGE = clips.DOCS / "memory.md"
 FOLDER = clips.DOCS / "images" / "memory"
@@ -39,14 +40,12 @@ def fill(page: str) -> str:
     return re.sub(f"(?s){begin}.*{end}", lambda _: f"{begin}\n{gallery()}{end}", page)
 
 
+@reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line: environment ids, if not all that have a policy with a memory."""
     jax.config.update("jax_platforms", "cpu")
     there = shipped(memory=True)
-    names = (sys.argv[1:] if arguments is None else list(arguments)) or there
-    if unknown := next((name for name in names if name not in there), None):
-        print(f"No policy with a memory ships for {unknown!r}. {did_you_mean(unknown, there)}", file=sys.stderr)  # fmt: skip
-        return 2
+    names = asked_ids(arguments, there, "shipped policy with a memory") or there
     FOLDER.mkdir(parents=True, exist_ok=True)
     for i, name in enumerate(names, 1):
         print(f"{i}/{len(names)} {name}", flush=True)

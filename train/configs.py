@@ -349,7 +349,7 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
         devices: number of devices among which the environments are divided.
 
     Returns:
-        Settings without a 0 in ``devices``, ``num_envs``, ``log_interval``; ``save_interval`` is a multiple of the latter.
+        Settings without a 0 in ``devices``, ``num_envs``, ``log_interval``; ``save_interval`` is a multiple of ``log_interval``.
 
     Raises:
         ConfigError: if the environments cannot be divided evenly among the devices, or the data of an update into

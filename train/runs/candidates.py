@@ -114,11 +114,12 @@ def say_what_stays(
         config: of the run.
         say: is told.
     """
-    count, until = (begun["count"], begun["until"]) if begun else (1, config.candidates_until)
-    if (count, until) != (config.num_candidates, config.candidates_until if count > 1 else until):
+    asked = (config.num_candidates, config.candidates_until) if config.num_candidates > 1 else None
+    had = (begun["count"], begun["until"]) if begun else None
+    if had != asked:
         many = (
-            f"{count} candidates for each seed, until {until:.0%} of the steps"
-            if begun
+            f"{had[0]} candidates for each seed, until {had[1]:.0%} of the steps"
+            if had
             else "no candidates"
         )
         say(

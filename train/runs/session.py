@@ -120,7 +120,8 @@ def run_session(
         logged = logged_run(env, config, folder) if folder and is_main_process else None
         loggers = Loggers(config.logger, logged, progress.say)
         stack.callback(loggers.close)
-        return _run(env, config, single, mesh, progress, on_log, lanes, folder, loggers)
+        session = _Session(env, config, single, mesh, progress, on_log)
+        return session.run(list(lanes or lanes_of(config)), folder, loggers)
 
 
 def logged_run(env: Any, config: LearnConfig, folder: RunFolder) -> LoggedRun:
@@ -134,162 +135,163 @@ def logged_run(env: Any, config: LearnConfig, folder: RunFolder) -> LoggedRun:
     return LoggedRun(env.name, folder.path, flat(dataclasses.asdict(config) | about | left_out))
 
 
-def _run(
-    env: Any,
-    config: LearnConfig,
-    single: Agents,
-    mesh: Mesh | None,
-    progress: Progress,
-    on_log: OnLog | None,
-    lanes: Sequence[Lane] | None,
-    folder: RunFolder | None,
-    loggers: Loggers,
-    until: float | None = None,
-) -> TrainResult:
-    """``run_session`` in a folder that is ours, or the training of candidates until a fraction of its steps."""
-    is_main_process = jax.process_index() == 0
-    start = time.perf_counter()
-    lanes = list(lanes or lanes_of(config))
-    agents = SideBySide(single, lanes) if len(lanes) > 1 else single
-    num_envs = config.num_envs * len(lanes)
-    key_learner, key_envs = split_keys(lane_keys(lanes))
-    manager = CheckpointManager(
-        env, config, agents, folder, lanes, is_main_process, progress.say, loggers
-    )
-    learner, meta = manager.resume(jax.jit(agents.init)(key_learner))
-    before: TrainResult | None = None
-    if until is None and meta:
-        candidates.say_what_stays(manager.candidates, config, progress.say)
-    elif until is None and config.num_candidates > 1:
-        loggers.begin({"": []})  # what they need is known now, not after hours
-        before = _run_candidates(env, config, single, mesh, progress, on_log, folder)
-        if before.interrupted:
-            return before
-        learner = candidates.hand_over(before, config, single, manager, progress.say)
-        before, start = dataclasses.replace(before, learner=None, seeds=[]), time.perf_counter()
-    elif until is None and folder:
-        candidates.refuse_unfinished(folder.path, config)
-    venv = vectorize(env, num_envs // config.devices)
-    first_steps = steps_of(learner)
-    if meta:
-        say_resumed(progress.say, meta, config, first_steps)
-    elif not before:
-        for policy in filter(None, (agent.start for agent in single.agents)):
-            if otherwise := trained_otherwise(policy, env):
-                progress.say(f"The policy it starts from was trained otherwise: {otherwise}.")
-    check_agreement("the step to go on from", first_steps, "They need a common --save-dir.")
-    manager.begin(learner)
+@dataclasses.dataclass(frozen=True)
+class _Session:
+    """What the parts of a session have in common; see ``run_session``."""
 
-    batch = config.num_envs * config.num_steps
-    total_steps = updates_in(config.num_env_steps, batch) * batch
-    end = updates_in(math.ceil(config.num_env_steps * (until or 1)), batch) * batch
-    rollout: Any = None
-    run: Any = None
-    if first_steps < end:
-        # A resumed run gets fresh episodes, and other ones than the run before it began with.
-        key_envs = fold_in(key_envs, first_steps)
-        if execution_of(venv) is STEPWISE:
-            rollout = init_rollout(venv, key_envs, config.stagger)
-            run = make_updates(venv, config, agents, execution=STEPWISE)
-        else:
-            learner, rollout, run = _compile(venv, config, agents, learner, key_envs, mesh)
-    elif until is None and not before:
-        progress.say("This run is complete; raise --num-env-steps to continue it.")
-    compile_seconds = time.perf_counter() - start
+    env: Any
+    config: LearnConfig
+    single: Agents
+    mesh: Mesh | None
+    progress: Progress
+    on_log: OnLog | None
 
-    progress.start(first_steps, end)
-    hyper = agents.hyper(total_steps)
-    for i, lane in enumerate(lanes):
-        if lane.name in manager.stopped:
-            hyper.learns[i] = 0.0
-    start = last_save = time.perf_counter()
-    env_steps, since_save, interrupted = first_steps, 0, False
-    nan_before = nan_total = manager.combined[-1]["nan_total"] if manager.combined else 0
-    try:
-        while env_steps < end and not interrupted:
-            count = min(config.log_interval, math.ceil((end - env_steps) / batch))
-            began = time.perf_counter()
-            next_learner, rollout, totals = run(learner, rollout, np.int32(count), hyper)
-            totals = jax.device_get(totals)
-            with deferred():  # an interrupt must not come between a row and its learner
-                rows = make_rows(totals, count, count * batch, env.episode_length)
-                now = time.perf_counter()
-                nan_total += sum(int(row["nan"]) for row in rows)
-                about = {
-                    "env_steps": env_steps + count * batch,
-                    "seconds": manager.seconds + now - start,
-                    "steps_per_second": count * batch * len(rows) / (now - began),
-                    "nan_total": nan_total,
-                }
-                rows = [row | about for row in rows]
-                check_overflow(sum(row["overflow"] for row in rows), env.name, num_envs)
-                going = {i: x for i, x in enumerate(rows) if lanes[i].name not in manager.stopped}
-                for i, bad in [(i, x) for i, x in going.items() if diverged(x)]:
-                    if len(going) == 1:
-                        refuse_diverged(bad, env.name)
-                    next_learner = keep_learner(next_learner, learner, i)
-                    hyper.learns[i] = 0.0
-                    manager.stopped[lanes[i].name] = diverged(going.pop(i))
-                    progress.say(f"{lanes[i].name} diverged {diverged(bad)}; the others continue.")
-                row = manager.add(going)
-                learner, env_steps = next_learner, env_steps + count * batch
-            progress.update(row)
-            since_save += count
-            due = since_save >= config.save_interval or now - last_save > SAVE_PERIOD
-            if on_log and on_log(row, lambda kept=learner: manager.policies(kept)[0]):
-                interrupted = env_steps < total_steps
-            save = manager.save if env_steps < end else manager.save_end
-            if (due or interrupted or env_steps >= end) and save(learner, now - start):
-                since_save, last_save = 0, time.perf_counter()
-    except KeyboardInterrupt:
-        interrupted = True
-        if env_steps > manager.saved_steps:
-            manager.save(learner, time.perf_counter() - start)
-    finally:
-        progress.stop()
-    train_seconds = time.perf_counter() - start
-    policies = manager.finish(learner)
-    result = TrainResult(
-        seeds=[
-            SeedResult(x.name, x.seed, own, curve, manager.stopped.get(x.name, ""))
-            for x, own, curve in zip(lanes, policies, manager.curves, strict=True)
-        ],
-        learner=to_host(learner),
-        config=config,
-        curve=manager.combined,
-        env_steps=env_steps,
-        session_steps=(env_steps - first_steps) * len(lanes),
-        compile_seconds=compile_seconds,
-        train_seconds=train_seconds,
-        nan_steps=nan_total - nan_before,
-        interrupted=interrupted,
-        folder=folder.path if folder and is_main_process else None,
-        unsaved=manager.trouble,
-        saved_steps=manager.saved_steps,
-        of_candidates=until is not None,
-    )
-    return result.after(before) if before else result
+    def run(
+        self,
+        lanes: list[Lane],
+        folder: RunFolder | None,
+        loggers: Loggers,
+        until: float | None = None,
+    ) -> TrainResult:
+        """Train in a folder that is ours; candidates until a fraction of the steps."""
+        env, config, progress = self.env, self.config, self.progress
+        is_main_process = jax.process_index() == 0
+        start = time.perf_counter()
+        agents = SideBySide(self.single, lanes) if len(lanes) > 1 else self.single
+        num_envs = config.num_envs * len(lanes)
+        key_learner, key_envs = split_keys(lane_keys(lanes))
+        manager = CheckpointManager(
+            env, config, agents, folder, lanes, is_main_process, progress.say, loggers
+        )
+        learner, meta = manager.resume(jax.jit(agents.init)(key_learner))
+        before: TrainResult | None = None
+        if until is None and meta:
+            candidates.say_what_stays(manager.candidates, config, progress.say)
+        elif until is None and config.num_candidates > 1:
+            loggers.begin({"": []})  # what they need is known now, not after hours
+            before = self.run_candidates(folder)
+            if before.interrupted:
+                return before
+            learner = candidates.hand_over(before, config, self.single, manager, progress.say)
+            before, start = dataclasses.replace(before, learner=None, seeds=[]), time.perf_counter()
+        elif until is None and folder:
+            candidates.refuse_unfinished(folder.path, config)
+        venv = vectorize(env, num_envs // config.devices)
+        first_steps = steps_of(learner)
+        if meta:
+            say_resumed(progress.say, meta, config, first_steps)
+        elif not before:
+            for policy in filter(None, (agent.start for agent in self.single.agents)):
+                if otherwise := trained_otherwise(policy, env):
+                    progress.say(f"The policy it starts from was trained otherwise: {otherwise}.")
+        check_agreement("the step to go on from", first_steps, "They need a common --save-dir.")
+        manager.begin(learner)
 
+        batch = config.num_envs * config.num_steps
+        total_steps = updates_in(config.num_env_steps, batch) * batch
+        end = updates_in(math.ceil(config.num_env_steps * (until or 1)), batch) * batch
+        rollout: Any = None
+        run: Any = None
+        if first_steps < end:
+            # A resumed run gets fresh episodes, and other ones than the run before it began with.
+            key_envs = fold_in(key_envs, first_steps)
+            if execution_of(venv) is STEPWISE:
+                rollout = init_rollout(venv, key_envs, config.stagger)
+                run = make_updates(venv, config, agents, execution=STEPWISE)
+            else:
+                learner, rollout, run = _compile(venv, config, agents, learner, key_envs, self.mesh)
+        elif until is None and not before:
+            progress.say("This run is complete; raise --num-env-steps to continue it.")
+        compile_seconds = time.perf_counter() - start
 
-def _run_candidates(
-    env: Any,
-    config: LearnConfig,
-    single: Agents,
-    mesh: Mesh | None,
-    progress: Progress,
-    on_log: OnLog | None,
-    folder: RunFolder | None,
-) -> TrainResult:
-    """Train the candidates of all seeds, in a folder of their own in that of the run."""
-    lanes, own = candidates_of(config), folder and folder.of_lane(CANDIDATES)
-    if own and jax.process_index() == 0:
-        own.prepare(fresh=False)
-    wait_for_hosts("candidates")
-    silent, until = Loggers((), None, progress.say), config.candidates_until
-    progress.say(
-        f"Training {len(lanes)} candidates; after {until:.0%} of the steps, one of each seed continues."
-    )
-    return _run(env, config, single, mesh, progress, on_log, lanes, own, silent, until)
+        progress.start(first_steps, end)
+        hyper = agents.hyper(total_steps)
+        for i, lane in enumerate(lanes):
+            if lane.name in manager.stopped:
+                hyper.learns[i] = 0.0
+        start = last_save = time.perf_counter()
+        env_steps, since_save, interrupted = first_steps, 0, False
+        nan_before = nan_total = manager.combined[-1]["nan_total"] if manager.combined else 0
+        try:
+            while env_steps < end and not interrupted:
+                count = min(config.log_interval, math.ceil((end - env_steps) / batch))
+                began = time.perf_counter()
+                next_learner, rollout, totals = run(learner, rollout, np.int32(count), hyper)
+                totals = jax.device_get(totals)
+                with deferred():  # an interrupt must not come between a row and its learner
+                    rows = make_rows(totals, count, count * batch, env.episode_length)
+                    now = time.perf_counter()
+                    nan_total += sum(int(row["nan"]) for row in rows)
+                    about = {
+                        "env_steps": env_steps + count * batch,
+                        "seconds": manager.seconds + now - start,
+                        "steps_per_second": count * batch * len(rows) / (now - began),
+                        "nan_total": nan_total,
+                    }
+                    rows = [row | about for row in rows]
+                    check_overflow(sum(row["overflow"] for row in rows), env.name, num_envs)
+                    going = {
+                        i: x for i, x in enumerate(rows) if lanes[i].name not in manager.stopped
+                    }
+                    for i, bad in [(i, x) for i, x in going.items() if diverged(x)]:
+                        if len(going) == 1:
+                            refuse_diverged(bad, env.name)
+                        next_learner = keep_learner(next_learner, learner, i)
+                        hyper.learns[i] = 0.0
+                        manager.stopped[lanes[i].name] = diverged(going.pop(i))
+                        progress.say(
+                            f"{lanes[i].name} diverged {diverged(bad)}; the others continue."
+                        )
+                    row = manager.add(going)
+                    learner, env_steps = next_learner, env_steps + count * batch
+                progress.update(row)
+                since_save += count
+                due = since_save >= config.save_interval or now - last_save > SAVE_PERIOD
+                if self.on_log and self.on_log(row, lambda kept=learner: manager.policies(kept)[0]):
+                    interrupted = env_steps < total_steps
+                save = manager.save if env_steps < end else manager.save_end
+                if (due or interrupted or env_steps >= end) and save(learner, now - start):
+                    since_save, last_save = 0, time.perf_counter()
+        except KeyboardInterrupt:
+            interrupted = True
+            if env_steps > manager.saved_steps:
+                manager.save(learner, time.perf_counter() - start)
+        finally:
+            progress.stop()
+        train_seconds = time.perf_counter() - start
+        policies = manager.finish(learner)
+        result = TrainResult(
+            seeds=[
+                SeedResult(x.name, x.seed, own, curve, manager.stopped.get(x.name, ""))
+                for x, own, curve in zip(lanes, policies, manager.curves, strict=True)
+            ],
+            learner=to_host(learner),
+            config=config,
+            curve=manager.combined,
+            env_steps=env_steps,
+            session_steps=(env_steps - first_steps) * len(lanes),
+            compile_seconds=compile_seconds,
+            train_seconds=train_seconds,
+            nan_steps=nan_total - nan_before,
+            interrupted=interrupted,
+            folder=folder.path if folder and is_main_process else None,
+            unsaved=manager.trouble,
+            saved_steps=manager.saved_steps,
+            of_candidates=until is not None,
+        )
+        return result.after(before) if before else result
+
+    def run_candidates(self, folder: RunFolder | None) -> TrainResult:
+        """Train the candidates of all seeds, in a folder of their own in that of the run."""
+        lanes, own = candidates_of(self.config), folder and folder.of_lane(CANDIDATES)
+        if own and jax.process_index() == 0:
+            own.prepare(fresh=False)
+        wait_for_hosts("candidates")
+        until, say = self.config.candidates_until, self.progress.say
+        say(
+            f"Training {len(lanes)} candidates; after {until:.0%} of the steps, one of each seed continues."
+        )
+        return self.run(lanes, own, Loggers((), None, say), until)
 
 
 def _compile(

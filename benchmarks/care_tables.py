@@ -234,4 +234,5 @@ def tapered(folder: Path = RESULTS) -> str:
 
 def _how_far(line: Line) -> str:
     task: Any = parse(line["env"]).task
-    return ", ".join(in_words(x, line[f"task/{x.name}"]) for x in task.measures)
+    values = {x: line.get(f"task/{x.name}") for x in task.measures}  # older lines lack some
+    return ", ".join(in_words(x, value) for x, value in values.items() if value is not None)

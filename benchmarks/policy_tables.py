@@ -57,7 +57,7 @@ TRAININGS = {
     "selection": "an earlier one",
     "gentle": "one made gentle",
     "continued": "a continued one",
-    "candidates": "an earlier one",
+    "not_shipped": "an earlier one",
 }
 """Results that tell of which training a policy comes -> what a policy from them is called that is not the row's."""
 
@@ -253,9 +253,9 @@ def seeds_in_percent(values: Sequence[float]) -> str:
     return ", ".join(f"{100 * x:.3g}" for x in values)
 
 
-def candidates(folder: Path = RESULTS) -> str:
+def not_shipped(folder: Path = RESULTS) -> str:
     """What chosen policies that do not ship achieve: elsewhere too, beside those that ship."""
-    tried = read_results("candidates", ("kind", "env", "policy"), folder)
+    tried = read_results("not_shipped", ("kind", "env", "policy"), folder)
     ships = {x["env"]: x for x in read_results("in_assistive_gym", ("env",), folder)}
     elsewhere = {x["env"] for x in tried if x["kind"] == THERE}
     beside = [x | {"policy": "the one that ships"} for x in ships.values() if x["env"] in elsewhere]

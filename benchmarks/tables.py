@@ -52,7 +52,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "gentle": policy_tables.gentle,
     "continued": policy_tables.continued,
     "limits": care_tables.limits,
-    "candidates": policy_tables.candidates,
+    "not-shipped": policy_tables.not_shipped,
     "together": policy_tables.together,
     "seeds": policy_tables.seeds,
     "training-speed": speed_tables.training_speed,

@@ -188,6 +188,7 @@ class Dressing:
     reward_terms: tuple[str, ...] = ("dressing", "action", *DRESSING_TERMS)
     measures: tuple[Measure, ...] = (
         Measure("covered", "1", "share of the arm's length that is in the sleeve"),
+        Measure("held", "1", "share of episodes in which the gripper still holds the gown"),
     )
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
@@ -361,8 +362,9 @@ class Dressing:
         return state.best >= self.config.dressed
 
     def measure(self, state: DressState) -> dict[str, Array]:
-        """Return how far up the arm the cuff is now: 0 at the tip of the hand, 1 at the shoulder."""
-        return {"covered": state.progress}
+        """Return how far up the arm the cuff is now: 0 at the tip of the hand, 1 at the shoulder; and 1 while the gown is in the gripper."""
+        held = fabrics.in_hand(state.slid).astype(jnp.float32)
+        return {"covered": state.progress, "held": held}
 
     def markers(self, state: DressState) -> list[tuple[Array, float, tuple[float, ...]]]:
         """Return no markers: the gown is drawn as a surface."""

@@ -281,10 +281,12 @@ def test_the_hand_and_what_it_holds_part_while_the_gown_is_caught():
 def test_a_gown_of_which_too_much_has_slid_through_is_out_of_the_hand():
     far = jnp.array([MAX_SLIP + 0.01, 0.0, 0.0])
     cloth = start().cloth
+    assert TASK.measure(start())["held"] == 1.0
     state = replace(start(), slid=far, cloth=replace(cloth, pos_w=cloth.pos_w + far))
     heights = [float(state.cloth.pos_w[:, 2].mean())]
     for _ in range(5):
         state, _ = advance()(state, seen())
         assert np.array_equal(state.slid, far)  # and stays so
+        assert TASK.measure(state)["held"] == 0.0
         heights.append(float(state.cloth.pos_w[:, 2].mean()))
     assert heights[0] - heights[-1] > 0.4  # half a second of falling, on nothing that would stop it

@@ -82,7 +82,8 @@ def hand_over(
         if not sound:
             manager.stopped[lane.name] = before.seeds[chosen[-1]].stopped
     manager.candidates = {
-        "count": count, "until": config.candidates_until, "rule": "success", "chosen": numbers,
+        "count": count, "until": config.candidates_until, "chosen": numbers,
+        "rule": "success and gentle success" if limited else "success",
     }  # fmt: skip
     manager.continue_curves([list(before.seeds[j].curve) for j in chosen])
     each = ", ".join(f"candidate {number} of {name}" for name, number in numbers.items())

@@ -89,13 +89,24 @@ class VectorEnv:
         state = jax.vmap(self.env.step)(state.replace(info={}), action)
         finished = state.done > 0
         info = info | _final(state) | {"truncation": finished.astype(jnp.float32)}
+        state, info = self.next_episodes(state, info, finished)
+        return state.replace(info=info)
+
+    def next_episodes(self, state: Any, info: dict[str, Any], finished: Array) -> tuple[Any, dict]:
+        """Begin another episode where one has ended.
+
+        Args:
+            state: after the step, without ``info``.
+            info: after the step.
+            finished: boolean (num_envs,).
+        """
         state = jax.lax.cond(
             jnp.any(finished),
             lambda s: jax.vmap(self.env.reset_where)(s, finished),
             lambda s: s,
             state,
         )
-        return state.replace(info=info)
+        return state, info
 
     def _check_shapes(self, state: Any, action: Any) -> None:
         if np.shape(action) != (self.num_envs, self.action_size):
@@ -114,12 +125,12 @@ class VectorEnv:
 
         Args:
             state: state of the batch.
-            key: PRNG key, or n keys (n, 2) for n equal parts of the batch.
+            key: PRNG key, typed or raw, or n keys for n equal parts of the batch.
             interval: steps between two phases, a divisor of the episode length; by default ``reset_interval``. Episodes end in
                 one of so many steps only, and the program of a reset, which runs for the whole batch, is skipped in the others
                 (except after a failure of the physics, which ends an episode at any step).
         """
-        interval = interval or self.reset_interval
+        key, interval = raw_key(key), interval or self.reset_interval
         phases = self.episode_length // interval
 
         def draw(key: Array, count: int) -> Array:

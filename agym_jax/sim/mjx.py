@@ -51,6 +51,8 @@ WARP_LOST = 0b1001111
 NARROWPHASE, CONTACT_MATCH (not: iteration limits). MuJoCo Warp 3.17, types.OverflowType."""
 AT_REST = ("qvel", "qacc_warmstart", "qfrc_applied", "qfrc_bias")
 """Fields of ``mjx.Data`` that are 0 as an episode begins."""
+CONTINUES = ("qpos", *AT_REST)
+"""Fields from which, with the joint-space inertia, an episode goes on."""
 
 
 class MjxPhysics:
@@ -96,11 +98,29 @@ class MjxPhysics:
         wait_for_kernels()
         fresh = {name: jnp.zeros_like(getattr(data, name)) for name in AT_REST}
         fresh["qpos"] = start_qpos(self.scene, episode)
-        inertia = jnp.zeros_like(data._impl.M)  # nothing moves that has any
+        fresh["M"] = jnp.zeros_like(data._impl.M)  # nothing moves that has any
+        return self.load(data, fresh, episode, where)
+
+    def save(self, data: mjx.Data) -> dict[str, Array]:
+        """What ``load`` needs to continue from here, of one environment."""
+        return {name: getattr(data, name) for name in CONTINUES} | {"M": data._impl.M}
+
+    def load(
+        self, data: mjx.Data, saved: dict[str, Array], episode: Episode, where: Array | None = None
+    ) -> mjx.Data:
+        """Continue from what ``save`` returned. Warp's data must not be selected whole.
+
+        Args:
+            data: of the environment.
+            saved: from ``save``.
+            episode: that of ``saved`` where ``where`` holds, otherwise the environment's own.
+            where: as for ``reset``.
+        """
         if where is not None:
-            fresh = {k: jnp.where(where, v, getattr(data, k)) for k, v in fresh.items()}
-            inertia = jnp.where(where, inertia, data._impl.M)
-        data = data.replace(**fresh, _impl=data._impl.replace(M=inertia))
+            old = self.save(data)
+            saved = {name: jnp.where(where, new, old[name]) for name, new in saved.items()}
+        fields = {name: saved[name] for name in CONTINUES}
+        data = data.replace(**fields, _impl=data._impl.replace(M=saved["M"]))
         model = self.model_of(episode)
         data = mjx.kinematics(model, data)
         return strong(

@@ -80,7 +80,8 @@ class Observed:
     def of(cls, state: Any) -> Observed:
         """Of a batch of environments."""
         seen = (state.obs, state.privileged_obs, state.reward, state.done, state.metrics)
-        return cls(*seen, state.info, getattr(state, "regions", None))
+        info = {name: value for name, value in state.info.items() if name != "restarts"}
+        return cls(*seen, info, getattr(state, "regions", None))
 
 
 def with_privileged(obs: jax.Array, privileged_obs: jax.Array | None) -> jax.Array:
@@ -218,7 +219,7 @@ def record_step(
         episode_peak=peak * going_on,
         episode_harsh=harsh * going_on,
         episode_length=length * going_on,
-        counted=jnp.maximum(rollout.counted, done),
+        counted=jnp.where(done > 0, 1 - info.get("restarted", zero), rollout.counted),
     )
     return rollout, totals, batch
 

@@ -177,6 +177,10 @@ class _Session:
         elif until is None and folder:
             candidates.refuse_unfinished(folder.path, config)
         venv = vectorize(env, num_envs // config.devices)
+        if config.restart_share:
+            from agym_jax.restarts import RestartVectorEnv
+
+            venv = RestartVectorEnv(env, num_envs // config.devices, len(lanes) if lanes else 1)
         first_steps = steps_of(learner)
         if meta:
             say_resumed(progress.say, meta, config, first_steps)

@@ -34,7 +34,6 @@ class Restarts:
     moments: Array  # moments that it was chosen among; 0: none yet    (B,)
     saved_return: Array  # return of the episode until then    (B,)
     episode_return: Array  # return so far    (B,)
-    share: Array  # of ended episodes, at most, that are followed by a restart    (B,)
     keys: Array  # (B, 2)
 
 
@@ -46,15 +45,17 @@ class RestartVectorEnv(VectorEnv):
     Args:
         env: environment, on MJX.
         num_envs: number of environments, B.
+        share: fraction of the ended episodes that are followed by a restart while none succeeds; it falls with
+            the success rate, to 0 where all do.
         groups: equal parts of the batch that do not share episodes.
     """
 
-    def __init__(self, env: Any, num_envs: int, groups: int = 1):
+    def __init__(self, env: Any, num_envs: int, share: float = 0.5, groups: int = 1):
         super().__init__(env, num_envs)
-        self.groups = groups
+        self.share, self.groups = share, groups
 
     def reset(self, key: Array) -> Any:
-        """Begin an episode in every environment; see ``VectorEnv.reset``. The share of restarts is 0."""
+        """Begin an episode in every environment; see ``VectorEnv.reset``."""
         state = super().reset(key)
         zeros = jnp.zeros(self.num_envs)
         restarts = Restarts(
@@ -62,7 +63,6 @@ class RestartVectorEnv(VectorEnv):
             moments=zeros,
             saved_return=zeros,
             episode_return=zeros,
-            share=zeros,
             keys=jax.vmap(lambda k: jax.random.fold_in(k, 1))(state.key),
         )
         return state.replace(info=state.info | {"restarts": restarts, "restarted": zeros})
@@ -83,7 +83,8 @@ class RestartVectorEnv(VectorEnv):
         r: Restarts = info["restarts"]
         keys = jax.vmap(lambda k: jax.random.split(k, 4))(r.keys)
         draws = jax.vmap(jax.vmap(jax.random.uniform))(keys[:, 1:])  # (B, 3)
-        source, restart = self._sources(state, r, finished, draws[:, 0], draws[:, 1])
+        own = finished & (info["restarted"] == 0)
+        source, restart = self._sources(state, r, finished, own, draws[:, 0], draws[:, 1])
 
         def of_source(tree: Any) -> Any:
             return jax.tree.map(lambda x: x[source], tree)
@@ -112,14 +113,13 @@ class RestartVectorEnv(VectorEnv):
             moments=moments,
             saved_return=chosen(total, r.saved_return[source], r.saved_return),
             episode_return=total,
-            share=r.share,
             keys=keys[:, 0],
         )
         restarted = jnp.where(finished, restart.astype(jnp.float32), info["restarted"])
         return state, info | {"restarts": restarts, "restarted": restarted}
 
     def _sources(
-        self, state: Any, r: Restarts, finished: Array, wish: Array, which: Array
+        self, state: Any, r: Restarts, finished: Array, own: Array, wish: Array, which: Array
     ) -> tuple[Array, Array]:
         """For each environment, the one whose saved moment it could continue from, and whether it does (B,)."""
         metrics = state.metrics
@@ -127,7 +127,7 @@ class RestartVectorEnv(VectorEnv):
         success = metrics["success"] > 0
 
         def of_group(
-            ended: Array, eligible: Array, success: Array, total: Array, share: Array, wish: Array, which: Array
+            ended: Array, own: Array, eligible: Array, success: Array, total: Array, wish: Array, which: Array
         ) -> tuple[Array, Array]:
             score = jnp.where(eligible, total, -jnp.inf)
             rank = jnp.argsort(jnp.argsort(-score))
@@ -136,19 +136,15 @@ class RestartVectorEnv(VectorEnv):
             sources = jnp.cumsum(best)
             pick = jnp.floor(which * sources[-1]) + 1
             source = jnp.minimum(jnp.searchsorted(sources, pick), len(ended) - 1)
-            chance = jnp.minimum(share, COPIES * sources[-1] / jnp.maximum(count, 1))
+            failed = jnp.sum(own & ~success) / jnp.maximum(jnp.sum(own), 1)
+            chance = jnp.minimum(
+                self.share * failed, COPIES * sources[-1] / jnp.maximum(count, 1)
+            )
             return source, ended & (wish < chance) & (sources[-1] > 0)
 
-        args = (finished, eligible, success, r.episode_return, r.share, wish, which)
+        args = (finished, own, eligible, success, r.episode_return, wish, which)
         split = [x.reshape(self.groups, -1) for x in args]
         source, restart = jax.vmap(of_group)(*split)
         offset = jnp.arange(self.groups)[:, None] * source.shape[1]
         return (source + offset).reshape(-1), restart.reshape(-1)
 
-
-def with_share(state: Any, share: Array) -> Any:
-    """Return the state of a batch with another share of restarts, () or (groups,)."""
-    r: Restarts = state.info["restarts"]
-    each = jnp.broadcast_to(jnp.reshape(share, (-1, 1)), (jnp.size(share), r.share.size // jnp.size(share)))
-    r = dataclasses.replace(r, share=each.reshape(-1).astype(jnp.float32))
-    return state.replace(info=state.info | {"restarts": r})

@@ -28,7 +28,7 @@ NOT_NEGATIVE = (
 )  # fmt: skip
 SHARES = (
     "gamma", "gae_lambda", "entropy_decay_share", "value_warm_up", "noise_ceiling_from", "candidates_until",
-    "restart_share", "restart_until", "cost_margin", "cost_tighten_from", "cost_tighten_until",
+    "restart_share", "cost_margin", "cost_tighten_from", "cost_tighten_until",
 )  # fmt: skip
 COUNTS = "num_env_steps", "num_steps", "ppo_epoch", "num_mini_batch", "num_seeds", "num_candidates"
 MAX_ENV_STEPS = 2**32 - 1  # the learner counts steps in 32 unsigned bits
@@ -54,8 +54,6 @@ class LearnConfig(EnvFlags):
     """With num_candidates: fraction of the run after which one of them continues."""
     restart_share: float = 0.0
     """Largest fraction of ended episodes that are followed by a part of a successful one."""
-    restart_until: float = 0.5
-    """With restart_share: fraction of the run over which it falls to 0."""
     impl: str = "auto"
     """Physics: "jax" or "warp" (MJX), "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU if
     installed."""

@@ -28,7 +28,6 @@ from .rollout import (
     split_keys,
     zero_totals,
 )
-from agym_jax.restarts import with_share
 from .seeds import SideBySide
 
 LEARN = "learn"
@@ -69,10 +68,6 @@ def make_updates(
             if axis is not None:
                 index = jax.lax.axis_index(axis)
                 key_rollout, key_learn = (fold_in(k, index) for k in (key_rollout, key_learn))
-            if config.restart_share:
-                progress = learner.env_steps.astype(jnp.float32) / hyper.total_steps
-                share = config.restart_share * jnp.maximum(0, 1 - progress / config.restart_until)
-                rollout = replace(rollout, env_state=with_share(rollout.env_state, share))
             rollout, batch, sums = collect(
                 lambda obs, key: act(learner, obs, key),
                 venv,

@@ -180,7 +180,8 @@ class _Session:
         if config.restart_share:
             from agym_jax.restarts import RestartVectorEnv
 
-            venv = RestartVectorEnv(env, num_envs // config.devices, len(lanes) if lanes else 1)
+            groups, each = len(lanes), num_envs // config.devices
+            venv = RestartVectorEnv(env, each, config.restart_share, groups)
         first_steps = steps_of(learner)
         if meta:
             say_resumed(progress.say, meta, config, first_steps)

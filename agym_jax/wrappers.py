@@ -23,6 +23,12 @@ MAX_RESET_INTERVAL = 25
 """Control steps. Not a multiple of the 20 steps of a rollout, so that rollouts begin at different times of an episode."""
 
 
+def shared_reset_interval(episode_length: int) -> int:
+    """Return the largest divisor of an episode length up to ``MAX_RESET_INTERVAL``: many episodes end at the same step."""
+    longest = min(episode_length, MAX_RESET_INTERVAL)
+    return max(n for n in range(1, longest + 1) if episode_length % n == 0)
+
+
 class VectorEnv:
     """A batch of copies of one environment; ``reset`` and ``step`` are pure functions.
 
@@ -89,24 +95,13 @@ class VectorEnv:
         state = jax.vmap(self.env.step)(state.replace(info={}), action)
         finished = state.done > 0
         info = info | _final(state) | {"truncation": finished.astype(jnp.float32)}
-        state, info = self.next_episodes(state, info, finished)
-        return state.replace(info=info)
-
-    def next_episodes(self, state: Any, info: dict[str, Any], finished: Array) -> tuple[Any, dict]:
-        """Begin another episode where one has ended.
-
-        Args:
-            state: after the step, without ``info``.
-            info: after the step.
-            finished: boolean (num_envs,).
-        """
         state = jax.lax.cond(
             jnp.any(finished),
             lambda s: jax.vmap(self.env.reset_where)(s, finished),
             lambda s: s,
             state,
         )
-        return state, info
+        return state.replace(info=info)
 
     def _check_shapes(self, state: Any, action: Any) -> None:
         if np.shape(action) != (self.num_envs, self.action_size):
@@ -145,9 +140,8 @@ class VectorEnv:
 
     @property
     def reset_interval(self) -> int:
-        """Steps between the phases of ``stagger``: the largest divisor of the episode length up to ``MAX_RESET_INTERVAL``."""
-        length = self.episode_length
-        return max(n for n in range(1, min(length, MAX_RESET_INTERVAL) + 1) if length % n == 0)
+        """Steps between the phases of ``stagger``; see ``shared_reset_interval``."""
+        return shared_reset_interval(self.episode_length)
 
 
 class NativeVectorEnv(VectorEnv):

@@ -53,7 +53,8 @@ class LearnConfig(EnvFlags):
     candidates_until: float = 0.4
     """With num_candidates: fraction of the run after which one of them continues."""
     restart_share: float = 0.0
-    """Largest fraction of ended episodes that are followed by a part of a successful one."""
+    """Fraction of ended episodes that are followed by the rest of an episode that has just succeeded, from a random moment of it
+    on, instead of by a new one. It is reached while hardly any succeeds and falls with the failures; see the page on seeds."""
     impl: str = "auto"
     """Physics: "jax" or "warp" (MJX), "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU if
     installed."""
@@ -74,8 +75,7 @@ class LearnConfig(EnvFlags):
     num_mini_batch: Annotated[Count, tyro.conf.arg(aliases=["--num-minibatches"])] = 8
     """Gradient steps per pass; fewer if a mini-batch would have less than 80 samples."""
     stagger: bool = True
-    """Start the environments at different times within their first episode, so that every update contains most phases of an
-    episode (requires support by the environment; the first episodes are not counted)."""
+    """Begin at different times of an episode, so that every update contains most of them (first episodes are not counted)."""
 
     lr: Annotated[float, tyro.conf.arg(aliases=["--learning-rate"])] = 3e-4
     """Learning rate of Adam."""
@@ -106,8 +106,7 @@ class LearnConfig(EnvFlags):
     entropy_decay_share: float = 0.0
     """Fraction of the run over which the entropy bonus decays linearly to zero: explore first, settle later; 0 = no decay."""
     privileged_critic: bool = True
-    """Give the value functions, during training only, quantities that neither agent observes but on which future rewards
-    depend, such as how much water is left in the cup. The policies never receive them."""
+    """Give the value functions, never the policies, what no agent observes but rewards depend on, such as the water left."""
     normalize_observations: bool = True
     """Normalise observations by their running mean and standard deviation, clipped to 10 standard deviations."""
     normalize_reward: bool = True
@@ -122,8 +121,7 @@ class LearnConfig(EnvFlags):
     cost_proportional: float = 1.0
     """With cost_limit: proportional gain of the controller of the cost multiplier."""
     cost_integral: float = 0.05
-    """With cost_limit: integral gain per update; the multiplier grows by this share of the largest one per update if the
-    cost is far too high."""
+    """With cost_limit: integral gain per update, as a share of the largest multiplier, where the cost is far too high."""
     cost_derivative: float = 0.5
     """With cost_limit: derivative gain per update, applied while the cost is rising."""
     cost_multiplier_max: float = 0.5

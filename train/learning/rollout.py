@@ -19,6 +19,9 @@ COMFORT_KEY, LIMIT_KEY = "force/of_comfort", "force/of_limit"
 EPISODE_TOTALS = ("episodes", "return", "return_squared", "success", "force", "length")
 GENTLE_TOTALS = ("episode/gentle", "episode/peak", "step/force/over_comfort")
 """Of environments that measure ``COMFORT_KEY``."""
+REMEMBERED, RESTARTED = "restarts", "restarted"
+"""Entries of ``info`` of environments with restarts: what they remember, which is not recorded, and 1.0 where the present
+episode began in the middle of another (B,)."""
 ACT, ENV_STEP = "act", "env_step"
 """Scopes of the policy and of the environment's step, in the names of operations (``benchmarks.training_profile``)."""
 Totals = dict[str, jax.Array]
@@ -37,7 +40,7 @@ class RolloutState:
     episode_peak: jax.Array  # largest force on a region of the body so far [N]    (B,)
     episode_harsh: jax.Array  # steps so far in which it was above the comfort limit    (B,)
     episode_length: jax.Array  # steps so far    (B,)
-    counted: jax.Array  # 1 where the episode was seen from its start    (B,)
+    counted: jax.Array  # 1 where the episode was seen from its start, which was a new one's    (B,)
 
 
 @jax.tree_util.register_dataclass
@@ -80,7 +83,7 @@ class Observed:
     def of(cls, state: Any) -> Observed:
         """Of a batch of environments."""
         seen = (state.obs, state.privileged_obs, state.reward, state.done, state.metrics)
-        info = {name: value for name, value in state.info.items() if name != "restarts"}
+        info = {name: value for name, value in state.info.items() if name != REMEMBERED}
         return cls(*seen, info, getattr(state, "regions", None))
 
 
@@ -219,7 +222,7 @@ def record_step(
         episode_peak=peak * going_on,
         episode_harsh=harsh * going_on,
         episode_length=length * going_on,
-        counted=jnp.where(done > 0, 1 - info.get("restarted", zero), rollout.counted),
+        counted=jnp.where(done > 0, 1 - info.get(RESTARTED, zero), rollout.counted),
     )
     return rollout, totals, batch
 

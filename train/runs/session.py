@@ -34,6 +34,7 @@ from ..errors import ConfigError
 from ..learning.agents import Agents
 from ..learning.execution import STEPWISE, StepwiseEnv, compile_together, execution_of
 from ..learning.hosts import check_agreement, join_hosts, wait_for_hosts
+from ..learning.restarts import with_restarts
 from ..learning.rollout import RolloutState, fold_in, init_rollout, split_keys
 from ..learning.seeds import (
     Lane,
@@ -177,11 +178,7 @@ class _Session:
         elif until is None and folder:
             candidates.refuse_unfinished(folder.path, config)
         venv = vectorize(env, num_envs // config.devices)
-        if config.restart_share:
-            from agym_jax.restarts import RestartVectorEnv
-
-            groups, each = len(lanes), num_envs // config.devices
-            venv = RestartVectorEnv(env, each, config.restart_share, groups)
+        venv = with_restarts(venv, config.restart_share, len(lanes))
         first_steps = steps_of(learner)
         if meta:
             say_resumed(progress.say, meta, config, first_steps)

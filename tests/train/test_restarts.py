@@ -149,18 +149,17 @@ def test_what_is_counted_are_new_episodes(monkeypatch):
     assert batch.obs.shape == (60, 32, 4)
 
 
-def test_a_seed_learns_as_it_would_alone():
+def test_a_seed_learns_as_it_would_alone(monkeypatch):
+    monkeypatch.setattr(restarts, "BEST", 1)
     both = ppo.train(FakeEnv(), dataclasses.replace(CONFIG, num_seeds=2)).seeds
     for seed, beside in zip((1, 2), both, strict=True):
         alone = ppo.train(FakeEnv(), dataclasses.replace(CONFIG, seed=seed))
-        own, other = (
-            np.array([row["return"] for row in x.curve[:6]], float) for x in (alone, beside)
-        )  # later, a difference in the last bit changes which return is larger
-        assert np.isfinite(own).sum() == 4
+        own, other = (np.array([row["return"] for row in x.curve], float) for x in (alone, beside))
+        assert np.isfinite(own).sum() > 5
         np.testing.assert_allclose(own, other, rtol=1e-3)
     without = ppo.train(FakeEnv(), dataclasses.replace(CONFIG, restart_share=0.0))
     first = ppo.train(FakeEnv(), CONFIG)
-    assert without.curve[5]["return"] != first.curve[5]["return"]
+    assert without.curve[-1]["return"] != first.curve[-1]["return"]
 
 
 def test_c_mujoco_trains_with_restarts():
@@ -175,6 +174,6 @@ def test_c_mujoco_trains_with_restarts():
 
 def test_an_environment_whose_step_is_compiled_is_refused():
     with pytest.raises(ConfigError, match="--restart-share does not work with a StepwiseEnv"):
-        ppo.train(StepwiseEnv(vectorize(FakeEnv(), 32)), CONFIG)
+        ppo.train(StepwiseEnv(FakeEnv().vectorize(32)), CONFIG)
     with pytest.raises(ConfigError, match="restart_share must be between 0 and 1, got 2"):
         dataclasses.replace(CONFIG, restart_share=2)

@@ -122,7 +122,7 @@ class RestartingVectorEnv:
     ) -> State:
         """Continue other episodes in some environments that have begun a new one, and remember moments of the rest."""
         metrics = (state.metrics["success"], state.metrics["nan"])
-        chosen = self._next(dataclasses.replace(before, moment=None), restarted, finished, *metrics)
+        chosen = self._next(dataclasses.replace(before, moment={}), restarted, finished, *metrics)
         if is_native(self.venv):
             chosen = jax.device_get(chosen)
         source, restart, noted, after, restarted = chosen
@@ -135,37 +135,12 @@ class RestartingVectorEnv:
     def _choose(
         self, before: Remembered, restarted: Array, finished: Array, success: Array, nan: Array
     ) -> tuple[Array, Array, Array, Remembered, Array]:
-        """Which environments continue from a moment of which; whose present moment is noted; what is remembered besides (B,)."""
-        first = before.key.reshape(self.groups, -1, 2)[:, 0]
-        keys = jax.vmap(lambda key: jax.random.split(key))(first)
-        shape = (3, len(finished) // self.groups)
-        draws = jax.vmap(lambda key: jax.random.uniform(key, shape), out_axes=1)(keys[:, 1])
-        wish, which, note = draws.reshape(3, -1)
-        eligible = finished & (before.moments > 0) & (nan == 0)
-        own, success = finished & (restarted == 0), success > 0
-        each = (finished, own, eligible, success, before.episode_return, wish, which)
-        choose = partial(choose_sources, share=self.share)
-        source, restart = jax.vmap(choose)(*(x.reshape(self.groups, -1) for x in each))
+        """``choose_restarts`` of each group; the sources are indices in the whole batch."""
+        own = (before, restarted, finished, success > 0, nan > 0)
+        own = jax.tree.map(lambda x: x.reshape(self.groups, -1, *x.shape[1:]), own)
+        source, *chosen = jax.vmap(partial(choose_restarts, share=self.share))(*own)
         source = source + jnp.arange(self.groups)[:, None] * source.shape[1]
-        source, restart = source.reshape(-1), restart.reshape(-1)
-
-        def now(of_source: Array, of_new: Any, going_on: Array) -> Array:
-            other = jnp.where(finished, of_new, going_on)
-            return jnp.where(restart, of_source[source], other)
-
-        moments = now(before.moments, 0.0, before.moments + 1)
-        total = now(before.return_then, 0.0, before.episode_return)
-        noted = ~finished & (note * moments < 1)  # each of n moments with probability 1 / n
-        then = jnp.where(restart, before.return_then[source], before.return_then)
-        after = Remembered(
-            moment=None,
-            moments=moments,
-            return_then=jnp.where(noted, total, then),
-            episode_return=total,
-            key=jnp.repeat(keys[:, 0], shape[1], axis=0),
-        )
-        restarted = jnp.where(finished, restart.astype(jnp.float32), restarted)
-        return source, restart, noted, after, restarted
+        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (source, *chosen))
 
     def _save(self, state: State) -> Moment:
         names = [field.name for field in dataclasses.fields(state) if field.name not in OF_STEP]
@@ -190,6 +165,51 @@ class RestartingVectorEnv:
 def with_restarts(venv: Any, share: float, groups: int) -> Any:
     """The vectorised environment, with restarts if ``share`` is not 0; see ``RestartingVectorEnv``."""
     return RestartingVectorEnv(venv, share, groups) if share else venv
+
+
+def choose_restarts(
+    before: Remembered, restarted: Array, finished: Array, success: Array, nan: Array, share: float
+) -> tuple[Array, Array, Array, Remembered, Array]:
+    """Choose, among environments that share their episodes, after a step.
+
+    Args:
+        before: what they remember, without moments.
+        restarted: whose episode, before the step, had begun in the middle of another, 1.0 or 0.0 (n,).
+        finished: whose episode has ended (n,).
+        success: who succeeded in this step (n,).
+        nan: whose simulation diverged (n,).
+        share: see ``RestartingVectorEnv``.
+
+    Returns:
+        For each environment, the index of the one that it would continue from, whether it does, whether its present moment is
+        to be remembered; what else they remember now, and ``restarted`` after the step (n, ...).
+    """
+    ends = jnp.any(finished)
+    keys = jax.random.split(before.key[0])
+    wish, which, note = jax.random.uniform(keys[1], (3, len(finished)))
+    eligible = finished & (before.moments > 0) & ~nan
+    own = finished & (restarted == 0)
+    source, restart = choose_sources(
+        finished, own, eligible, success, before.episode_return, wish, which, share
+    )
+
+    def now(of_source: Array, of_new: float, going_on: Array) -> Array:
+        other = jnp.where(finished, of_new, going_on)
+        return jnp.where(restart, of_source[source], other)
+
+    moments = now(before.moments, 0.0, before.moments + ends)
+    total = now(before.return_then, 0.0, before.episode_return)
+    noted = ends & ~finished & (note * moments < 1)  # each of n moments with probability 1 / n
+    then = jnp.where(restart, before.return_then[source], before.return_then)
+    after = Remembered(
+        moment={},
+        moments=moments,
+        return_then=jnp.where(noted, total, then),
+        episode_return=total,
+        key=jnp.where(ends, keys[0], before.key),
+    )
+    restarted = jnp.where(finished, restart.astype(jnp.float32), restarted)
+    return source, restart, noted, after, restarted
 
 
 def choose_sources(

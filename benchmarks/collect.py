@@ -40,7 +40,14 @@ POLICIES = RESULTS.parent.parent / "assets" / "policies"
 FOR_GENTLENESS = 0.05
 """Success that a policy may lack, compared with the one that it replaces."""
 LARGEST = 1_000_000  # bytes of a policy file; the largest networks take 740 kB
-ABOUT = ("cost_limit", "cost_multiplier_max", "cost_margin", "started_from", "candidates")
+ABOUT = (
+    "cost_limit",
+    "cost_multiplier_max",
+    "cost_margin",
+    "started_from",
+    "candidates",
+    "restart_share",
+)
 """Fields of a training that its choice is kept with, if it had a cost limit, a memory, or began with a policy."""
 MEASURED = ("commit", "device", "versions", "time", "impl")
 """Fields of a choice that hold for everything measured with it."""
@@ -341,6 +348,8 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
             training = {name: x for name, x in found.training.items() if name != "curve"}
             line = {**choice, "training": training, "suite": found.suite}
             put("suite", line, ("env", "time"))
+        elif found.training["restart_share"]:  # of none of them the default
+            put("restarts", {**choice, **about}, ("env", "time"))
         elif found.gentle or found.continued:
             put("gentle" if found.gentle else "continued", {**choice, **about}, ("env", "time"))
             put("continued_training", found.training, ("env", "time"))

@@ -39,28 +39,30 @@ def run_of(name: str, info: Mapping[str, Any], folder: Path = RESULTS) -> Line |
     return next((x for x in of if training(x["policy_commit"], x["chosen"]) == wanted), None)
 
 
-def _times(line: Line) -> str:
+def times(line: Line) -> str:
+    """Time constants of a memory [s]."""
     return ", ".join(f"{x:g}" for x in line["changes"]["memory"])
 
 
-def _worst_and_mean(line: Line) -> str:
+def worst_and_mean(line: Line) -> str:
+    """Success of the worst seed, and the interquartile mean."""
     return f"{share(min(line['success_of_seeds']))}, {share(line['success_iqm'])}"
 
 
 def trainings(folder: Path = RESULTS) -> str:
     """What seeds with a memory achieve, beside those without one."""
     lines = [x for x in runs(folder) if not x["started_from"]]
-    without = _without(folder)
+    without = without_memory(folder)
     sign = markdown.mark([*lines, *(y for of in without.values() for y in of)])
     columns = {
         "environment": lambda x: x["env"] + (" ‡" if "code" in x else ""),
-        "memory [s]": _times,
+        "memory [s]": times,
         "seeds x steps": seeds_and_steps,
         "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
-        "worst, interquartile mean": _worst_and_mean,
+        "worst, interquartile mean": worst_and_mean,
         "chosen seed, over other people": lambda x: f"{x['chosen']}: {_success(x['reported'])}",
         "without memory: seeds x steps, worst, interquartile mean": lambda x: "; ".join(
-            f"{seeds_and_steps(y)}{sign(y)}: {_worst_and_mean(y)}"
+            f"{seeds_and_steps(y)}{sign(y)}: {worst_and_mean(y)}"
             for y in without.get(x["env"], ())
         ),
     }
@@ -72,12 +74,15 @@ def trainings(folder: Path = RESULTS) -> str:
     return markdown.table(lines, columns, lambda x: (x["env"], -len(x["seeds"]), x["time"]), note)
 
 
-def _without(folder: Path) -> dict[str, list[Line]]:
+def without_memory(folder: Path) -> dict[str, list[Line]]:
     """Environment -> the newest choices without a memory, of the suite and of a training of its own, with the settings of the id."""
     found: dict[str, list[Line]] = {}
+    trainings = {x["env"]: x for x in markdown.read_results("seed_training", ("env",), folder)}
     for name in ("suite", "selection"):
         for line in markdown.read_results(name, ("env",), folder):
             if not line.get("trained_with"):
+                training = line.get("training") or trainings.get(line["env"], {})
+                line |= {"candidates": training.get("candidates")}
                 found.setdefault(line["env"], []).append(line)
     return {env: sorted(lines, key=itemgetter("num_env_steps")) for env, lines in found.items()}
 
@@ -106,7 +111,7 @@ def policies(folder: Path = RESULTS) -> str:
         rows.append(
             [
                 name,
-                _times(run),
+                times(run),
                 _both(_success, here.get(name), run["reported"]),
                 _both(_success, everybody.get(name), of_it[0]),
                 _both(_least, everybody.get(name), of_it[0]),

@@ -243,9 +243,8 @@ def _of_runs(lines: list[Line], columns: dict[str, Callable[..., str]]) -> str:
 
 def seeds_and_steps(line: Line) -> str:
     """How many seeds were trained, and for how many steps each."""
-    return overview.seeds_and_steps(
-        len(line["seeds"]), line["num_env_steps"], line.get("candidates")
-    )
+    more = (line.get(name) for name in ("candidates", "restart_share"))
+    return overview.seeds_and_steps(len(line["seeds"]), line["num_env_steps"], *more)
 
 
 def seeds_in_percent(values: Sequence[float]) -> str:

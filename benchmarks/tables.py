@@ -18,6 +18,7 @@ from benchmarks import (
     memory_tables,
     physics_tables,
     policy_tables,
+    restart_tables,
     speed_tables,
     training_tables,
 )
@@ -48,6 +49,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "suite": policy_tables.suite,
     "memory-trainings": memory_tables.trainings,
     "memory-policies": memory_tables.policies,
+    "restarts": restart_tables.trainings,
     "sweeps": policy_tables.sweeps,
     "gentle": policy_tables.gentle,
     "continued": policy_tables.continued,

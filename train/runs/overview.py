@@ -92,7 +92,7 @@ def training_summary(run: Path) -> dict[str, Any] | None:
         processes (``wall_seconds``, where a suite has kept them), when the interquartile mean of success first
         was ``ENOUGH`` (``steps_to_90, seconds_to_90``), the ``curve``, ``cost_limit``, ``cost_multiplier_max`` and ``cost_margin``,
         ``started_from`` and ``person_started_from`` (policies of robot and person, None if they were new), ``candidates``
-        (see ``CheckpointManager``; None without), and commit, device, versions, time.
+        (see ``CheckpointManager``; None without), ``restart_share``, and commit, device, versions, time.
     """
     rows, path = read_rows(run / "curve.jsonl"), run / "config.json"
     if not rows:
@@ -120,13 +120,20 @@ def training_summary(run: Path) -> dict[str, Any] | None:
         "started_from": config.get("robot_policy"),
         "person_started_from": config.get("human_policy"),
         "candidates": about.get("candidates"),
+        "restart_share": config.get("restart_share", 0.0),
         **{name: about.get(name) for name in ("commit", "device", "versions", "time")},
     }
 
 
-def seeds_and_steps(seeds: int, steps: int, candidates: Mapping[str, Any] | None = None) -> str:
-    """``8 x 4 M``, or ``8 x 4 M, of 4 candidates after 40% by success``."""
+def seeds_and_steps(
+    seeds: int,
+    steps: int,
+    candidates: Mapping[str, Any] | None = None,
+    restart_share: float | None = 0.0,
+) -> str:
+    """``8 x 4 M``, or ``8 x 4 M, restarts 0.5, of 4 candidates after 40% by success``."""
     text = f"{seeds} x {steps / 1e6:.3g} M"
+    text += f", restarts {restart_share:g}" if restart_share else ""
     if not candidates:
         return text
     after = f"after {candidates['until']:.0%} by {candidates['rule']}"
@@ -167,7 +174,8 @@ def cells(selection: Mapping[str, Any], training: Mapping[str, Any] | None) -> l
     if "chosen_gentle_success" in selection:
         gentle = f", gently {share(selection['chosen_gentle_success'])}"
     if training:
-        size = seeds_and_steps(len(each), training["num_env_steps"], training.get("candidates"))
+        more = (training.get(name) for name in ("candidates", "restart_share"))
+        size = seeds_and_steps(len(each), training["num_env_steps"], *more)
         reached = "not reached"
         if training["steps_to_90"] is not None:
             seconds = duration(training["seconds_to_90"])

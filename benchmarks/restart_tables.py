@@ -1,0 +1,38 @@
+"""The table of trainings with restarts, beside those without."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from benchmarks import markdown, memory_tables
+from benchmarks.markdown import RESULTS, Line
+from benchmarks.memory_tables import times, worst_and_mean
+from benchmarks.policy_tables import seeds_and_steps, seeds_in_percent
+
+
+def trainings(folder: Path = RESULTS) -> str:
+    """What seeds with restarts achieve, beside others with the same memory or, if they have none, the settings of the id."""
+    memory = [x for x in memory_tables.runs(folder) if not x["started_from"] and "code" not in x]
+    lines = [x for x in memory if x.get("restart_share")]
+    lines += markdown.read_results("restarts", ("env", "time"), folder)
+    usual = memory_tables.without_memory(folder)
+
+    def without(line: Line) -> list[Line]:
+        if not line.get("changes"):
+            return usual.get(line["env"], [])
+        same = [x for x in memory if (x["env"], x["changes"]) == (line["env"], line["changes"])]
+        return [x for x in same if not x.get("restart_share")]
+
+    sign = markdown.mark([*lines, *(y for x in lines for y in without(x))])
+    columns = {
+        "environment": lambda x: x["env"],
+        "memory [s]": lambda x: times(x) if x.get("changes") else "",
+        "seeds x steps": seeds_and_steps,
+        "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
+        "worst, interquartile mean": worst_and_mean,
+        "without restarts: seeds x steps, worst, interquartile mean": lambda x: "; ".join(
+            f"{seeds_and_steps(y)}{sign(y)}: {worst_and_mean(y)}" for y in without(x)
+        ),
+    }
+    note = f"1,000 episodes of each seed, mode; {markdown.EARLIER} measured before the present physics;"
+    return markdown.table(lines, columns, lambda x: (x["env"], x["time"]), note)

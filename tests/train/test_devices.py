@@ -191,6 +191,8 @@ for devices in (1, 2):
         "episodes": sum(row["episodes"] for row in result.curve), "used": result.config.devices,
         "rows": [len(seed.curve) for seed in result.seeds], "session": result.session_steps,
     }
+result = ppo.train(FakePairEnv(active=False), PPOConfig(**BASE, devices=2, restart_share=0.5))
+found["restarts"] = [seed.curve[-1]["success"] for seed in result.seeds], result.config.devices
 with tempfile.TemporaryDirectory() as folder:
     config, sessions = CoopConfig(**BASE | {"save_dir": folder}), []
     for devices, rounds in ((2, 8), (1, 16), (2, 24)):
@@ -290,6 +292,8 @@ def test_two_seeds_on_two_devices_learn_as_on_one_and_are_resumed_whole():
         assert len(run["success"]) == 2 and min(run["success"]) > 0.9
         assert run["steps"] == 94 * 640 and run["session"] == 2 * 94 * 640
     assert one["rows"] == two["rows"] and abs(one["episodes"] - two["episodes"]) <= 64
+    success, devices = found["restarts"]
+    assert len(success) == devices == 2 and min(success) > 0.9
     assert found["sessions"] == [[2 * 640 * 8, devices] for devices in (2, 1, 2)]
     assert found["seed_1"] == found["seed_2"] == [640 * 8, 640 * 16, 640 * 24]
     assert found["combined"] == [[640 * rounds, 2] for rounds in (8, 16, 24)]

@@ -62,8 +62,7 @@ def trainings(folder: Path = RESULTS) -> str:
         "worst, interquartile mean": worst_and_mean,
         "chosen seed, over other people": lambda x: f"{x['chosen']}: {_success(x['reported'])}",
         "without memory: seeds x steps, worst, interquartile mean": lambda x: "; ".join(
-            f"{seeds_and_steps(y)}{sign(y)}: {worst_and_mean(y)}"
-            for y in without.get(x["env"], ())
+            f"{seeds_and_steps(y)}{sign(y)}: {worst_and_mean(y)}" for y in without.get(x["env"], ())
         ),
     }
     episodes = markdown.several(f"{x['episodes']:,}" for x in lines)

@@ -299,6 +299,14 @@ def test_policies_with_a_memory_ship_beside_those_without(plain, ships, runs, re
     assert len(lines(repository, "evaluation")) == (plain is not None)
 
 
+@pytest.mark.slow
+def test_trainings_with_restarts_have_results_of_their_own(runs, repository):
+    collected(runs, ('"restart_share": 0.0', '"restart_share": 0.5'), shipped=None)
+    (line,) = lines(repository, "restarts")
+    assert line["restart_share"] == 0.5 and line["env"] == ALONE
+    assert not lines(repository, "selection") and not lines(repository, "seed_training")
+
+
 def test_tables_leave_out_results_of_other_settings(tmp_path):
     usual = {"env": ALONE, "success": 0.9, "overflow": 0}
     others = [{"changes": {"episode_length": 50}}, {"other_than_in_training": "x"}]

@@ -1,0 +1,48 @@
+# ruff: noqa: D103 (a test's name says what it shows)
+"""The table of trainings with restarts stands them beside those that differ in nothing else."""
+
+import json
+
+from benchmarks import restart_tables
+from train.runs.overview import seeds_and_steps
+
+
+def line(success, steps, **more):
+    """A choice between two seeds."""
+    return {
+        "kind": "seed-selection", "env": "DressingPR2-v0", "seeds": [1, 2], "success_of_seeds": success,
+        "success_iqm": sum(success) / 2, "num_env_steps": steps, "episodes": 1000, "overflow": 0, "started_from": None,
+        "candidates": None, "restart_share": 0.0, "time": f"2026-12-01T00:00:{steps // 1_000_000:02}+00:00",
+        "commit": "0" * 40, "device": {"kind": "NVIDIA H200", "platform": "gpu"}, "chosen": 1, **more,
+    }  # fmt: skip
+
+
+def test_a_training_with_restarts_stands_beside_those_without(tmp_path):
+    memory = {"changes": {"memory": [0.3, 4.0]}}
+    candidates = {"count": 4, "until": 0.4, "rule": "success"}
+    both = {"restart_share": 0.5, "candidates": candidates}
+    rows = {
+        "memory": [line([0.1, 0.3], 2_000_000, **memory), line([0.6, 0.8], 3_000_000, **memory, **both),
+                   line([0.9, 0.9], 4_000_000, **memory, restart_share=0.5, started_from="shipped")],
+        "restarts": [line([0.2, 0.4], 5_000_000, restart_share=0.25)],
+        "selection": [line([0.0, 0.5], 6_000_000)],
+        "seed_training": [{"env": "DressingPR2-v0", "candidates": candidates, "time": "2026-12-01T00:00:06+00:00"}],
+    }  # fmt: skip
+    for name, each in rows.items():
+        (tmp_path / f"{name}.jsonl").write_text("".join(json.dumps(x) + "\n" for x in each))
+    found = [x for x in restart_tables.trainings(tmp_path).splitlines() if "DressingPR2" in x]
+    cells = [[cell.strip() for cell in x.strip("|").split("|")] for x in found]
+    assert [x[1:3] for x in cells] == [
+        ["0.3, 4", "2 x 3 M, restarts 0.5, of 4 candidates after 40% by success"],
+        ["", "2 x 5 M, restarts 0.25"],
+    ]
+    assert [x[4] for x in cells] == ["60.0%, 70.0%", "20.0%, 30.0%"]
+    assert [x[5] for x in cells] == [
+        "2 x 2 M: 10.0%, 20.0%",
+        "2 x 6 M, of 4 candidates after 40% by success: 0.0%, 25.0%",
+    ]
+
+
+def test_how_seeds_were_trained_is_told_in_few_words():
+    assert seeds_and_steps(8, 4_014_080) == "8 x 4.01 M"
+    assert seeds_and_steps(8, 4_000_000, restart_share=0.5) == "8 x 4 M, restarts 0.5"

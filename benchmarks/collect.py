@@ -48,7 +48,7 @@ ABOUT = (
     "candidates",
     "restart_share",
 )
-"""Fields of a training that its choice is kept with, if it had a cost limit, a memory, or began with a policy."""
+"""Fields of a training that its choice is kept with, if it had a cost limit, a memory or restarts, or began with a policy."""
 MEASURED = ("commit", "device", "versions", "time", "impl")
 """Fields of a choice that hold for everything measured with it."""
 
@@ -348,11 +348,11 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
             training = {name: x for name, x in found.training.items() if name != "curve"}
             line = {**choice, "training": training, "suite": found.suite}
             put("suite", line, ("env", "time"))
-        elif found.training["restart_share"]:  # of none of them the default
-            put("restarts", {**choice, **about}, ("env", "time"))
         elif found.gentle or found.continued:
             put("gentle" if found.gentle else "continued", {**choice, **about}, ("env", "time"))
             put("continued_training", found.training, ("env", "time"))
+        elif found.training["restart_share"]:  # no environment has restarts by default
+            put("restarts", {**choice, **about}, ("env", "time"))
         else:
             put("selection", choice, ("env", "time"))
             put("seed_training", found.training, ("env", "time"))

@@ -34,5 +34,6 @@ def trainings(folder: Path = RESULTS) -> str:
             f"{seeds_and_steps(y)}{sign(y)}: {worst_and_mean(y)}" for y in without(x)
         ),
     }
-    note = f"1,000 episodes of each seed, mode; {markdown.EARLIER} measured before the present physics;"
+    episodes = markdown.several(f"{x['episodes']:,}" for x in lines)
+    note = f"{episodes} episodes of each seed, mode; {markdown.EARLIER} measured before the present physics;"
     return markdown.table(lines, columns, lambda x: (x["env"], x["time"]), note)

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from fake_env import FakeEnv
+from fake_pair_env import FakePairEnv
 
 import agym_jax
 from agym_jax.wrappers import vectorize
-from train import ppo
-from train.configs import PPOConfig
+from train import coop, ppo
+from train.configs import CoopConfig, PPOConfig
 from train.errors import ConfigError
 from train.learning import restarts
 from train.learning.execution import StepwiseEnv
@@ -73,11 +74,18 @@ def test_only_ended_episodes_restart_and_only_from_eligible_ones():
     assert not restart.any()
 
 
-@pytest.mark.parametrize("impl", ["native", pytest.param("jax", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "impl",
+    [
+        "native",
+        pytest.param("jax", marks=pytest.mark.slow),
+        pytest.param("warp", marks=[pytest.mark.slow, pytest.mark.warp]),
+    ],
+)
 def test_a_restarted_episode_goes_on_as_the_other_did(impl, monkeypatch):
-    monkeypatch.setattr(
-        restarts, "BEST", 1
-    )  # random actions never succeed: all may be continued from
+    if impl == "warp":
+        pytest.importorskip("warp", reason='needs pip install "agym_jax[warp]"')
+    monkeypatch.setattr(restarts, "BEST", 1)  # random actions never succeed
     venv = RestartingVectorEnv(vectorize(agym_jax.make("ReachingJaco-v0", impl=impl), 8), 1.0, 2)
     reset, step = (
         (venv.reset, venv.step) if impl == "native" else map(jax.jit, (venv.reset, venv.step))
@@ -170,6 +178,14 @@ def test_c_mujoco_trains_with_restarts():
     result = ppo.train(agym_jax.make("ReachingJaco-v0", impl="native"), config)
     assert result.env_steps == 2400
     assert all(np.isfinite(row["return"]) for row in result.curve if row["episodes"])
+
+
+def test_a_pair_trains_with_restarts():
+    config = CoopConfig(
+        num_envs=32, num_env_steps=3200, num_steps=10, num_mini_batch=4, save_dir=None, restart_share=0.9,
+    )  # fmt: skip
+    result = coop.train(FakePairEnv(), config)
+    assert set(result.policies) == {"robot", "human"} and np.isfinite(result.curve[-1]["return"])
 
 
 def test_an_environment_whose_step_is_compiled_is_refused():

@@ -2,14 +2,14 @@
 
 Where success is rare at first, a policy forgets how it came about before it happens again. Here, some environments whose
 episode has ended continue from a random moment of an episode that has just ended with success, with the person and everything
-else as they were then. What follows differs, because actions are random. Success becomes frequent, the value function learns
-what it is worth to be on the way to it, and new episodes follow. The success rate of new episodes
-decides how many there are: none once every one succeeds.
+else as they were then. What follows differs, because actions are random, so that more is seen of what leads to success, and the
+value function learns what it is worth to be on the way to it. The success rate of new episodes decides how many restarts there
+are: none once every one succeeds. What they achieve is in ``docs/seeds.md``.
 
 That starting from promising states helps where rewards are sparse is known from demonstrations (Salimans and Chen 2018,
 "Learning Montezuma's Revenge from a Single Demonstration"; Nair et al. 2018) and from Go-Explore (Ecoffet et al. 2021,
-"First return, then explore"). Here the states come from the policy's own episodes, of the same update, and there is no archive. Evaluation
-and statistics of training know new episodes only.
+"First return, then explore"). Here the states come from the policy's own episodes that end at the same step, and there is no
+archive. Statistics of training count new episodes only.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from .execution import StepwiseEnv
 from .rollout import REMEMBERED, RESTARTED
 
 COPIES = 8
-"""Restarts, at most, from one episode."""
+"""Largest average number of restarts from one episode."""
 BEST = 64
 """Besides those that succeed, one of so many episodes is continued from: those with the largest return."""
 OF_STEP = ("reward", "done", "metrics", "info", "regions", "key")
@@ -74,7 +74,8 @@ class RestartingVectorEnv:
             )
         self.venv, self.share, self.groups = venv, share, groups
         self._physics = None if is_native(venv) else getattr(venv, "physics", None)
-        self._next = self._choose if not is_native(venv) else jax.jit(self._choose)
+        """That of MJX, whose data is more than what an episode needs to go on, and in Warp partly of all environments."""
+        self._next = jax.jit(self._choose)
 
     def __getattr__(self, name: str) -> Any:
         if name == "venv":

@@ -57,6 +57,7 @@ TRAININGS = {
     "selection": "an earlier one",
     "gentle": "one made gentle",
     "continued": "a continued one",
+    "restarts": "one with restarts",
     "not_shipped": "an earlier one",
 }
 """Results that tell of which training a policy comes -> what a policy from them is called that is not the row's."""

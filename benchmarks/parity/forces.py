@@ -2,7 +2,7 @@
 
 Assistive Gym solves motors and contacts as one system, so a contact presses with what motors, joint limits and momentum give.
 Here the impulses on the robot's joints are accounted for over every control step of C MuJoCo (`agym_jax/sim/impulse.py`), with
-actions that change every half second, and under the shipped policies. What the account lacks is an error of the integration;
+actions that change every half second, and under the shipped policies, with a memory where one ships. What the account lacks is an error of the integration;
 a force beyond what motors at their bound, limits and momentum give on every joint would have no cause at all.
 """
 
@@ -18,6 +18,8 @@ import numpy as np
 
 import agym_jax
 from agym_jax.errors import PolicyLayoutError, PolicyNotFoundError
+from agym_jax.memory import SHIPPED
+from agym_jax.policy.policy import shipped
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.impulse import Balance, watch
 from agym_jax.tasks import TASKS
@@ -63,13 +65,22 @@ def rows(
     for task in tasks:
         by_chance: list[Balance] = []
         by_policy: list[Balance] = []
+        with_memory: list[Balance] = []
         for robot in robots:
-            env = agym_jax.make(f"{task}{robot}-v0", impl="native")
+            env_id = f"{task}{robot}-v0"
+            env = agym_jax.make(env_id, impl="native")
             by_chance += balances(env, None)
-            # a pair may have no policy that was trained for what is observed now
+            # an environment may have no policy that was trained for what is observed now
             with contextlib.suppress(PolicyNotFoundError, PolicyLayoutError):
-                by_policy += balances(env, agym_jax.load_policy(f"{task}{robot}-v0"))
-        for who, found in (("random actions", by_chance), ("shipped policies", by_policy)):
+                by_policy += balances(env, agym_jax.load_policy(env_id))
+            if env_id in shipped(memory=True):
+                env = agym_jax.make(env_id, impl="native", memory=SHIPPED)
+                with_memory += balances(env, agym_jax.load_policy(env_id, env))
+        for who, found in (
+            ("random actions", by_chance),
+            ("shipped policies", by_policy),
+            ("shipped policies with a memory", with_memory),
+        ):
             if not found:
                 continue
             error = max(x.error for x in found)

@@ -18,6 +18,8 @@ from agym_jax.human.population import Human
 from agym_jax.spec import Measure
 from train.evaluate import evaluate
 from train.evaluation.people import People, by_group, people_in, worst
+from train.evaluation.score import EvaluationResult
+from train.evaluation.seed_scores import SeedScores
 
 
 @dataclass
@@ -104,6 +106,20 @@ def test_the_worst_group_is_none_of_a_few_people():
     assert {x.name: x.success for x in found}["with weakness"] == 0.0
     assert worst(found).name == "women" and worst(found).success == pytest.approx(0.4)
     assert worst([]) is None
+
+
+def test_the_table_of_seeds_says_whom_each_helps_least():
+    half, nobody = people().sex > 0.5, np.zeros(100, bool)
+    results = {
+        seed: EvaluationResult("X-v0", *np.zeros((2, 100)), successes, nobody, 0, 1.0, people=who)
+        for seed, (successes, who) in enumerate([(half, people()), (~nobody, None)], start=1)
+    }
+    scores = SeedScores(results)
+    assert "least helped: men, 0.0%" in scores.table().splitlines()[1]
+    assert "least helped" not in scores.table().splitlines()[2]  # it is not known who they were
+    least, unknown = scores.summary()["least_helped_of_seeds"]
+    assert (least["name"], least["episodes"], least["success"]) == ("men", 50, 0.0) and not unknown
+    assert "least_helped_of_seeds" not in SeedScores({2: results[2]}).summary()
 
 
 def test_who_has_no_joint_that_moves_does_not_tremble():

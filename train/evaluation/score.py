@@ -102,6 +102,11 @@ class EvaluationResult:
             return []
         return by_group(self.people, self.successes, self.gentle_successes)
 
+    @property
+    def least_helped(self) -> Group | None:
+        """The group with the lowest success; None if no group has enough episodes."""
+        return worst(self.groups)
+
     def table(self, groups: bool = False) -> str:
         """Format the result as a table.
 
@@ -121,7 +126,7 @@ class EvaluationResult:
             rows += [("gentle success", interval), *self.gentleness.rows()]
         if self.outcome is not None:
             rows += self.outcome.rows()
-        least = worst(self.groups)
+        least = self.least_helped
         if groups:
             rows += group_rows(self.groups)
         elif least:

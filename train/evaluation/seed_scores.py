@@ -68,7 +68,7 @@ class SeedScores:
             gentle = "" if x.gentle_success is None else f"   gentle {x.gentle_success:6.1%}"
             lines.append(
                 f"  seed {seed:<4} success {x.success:6.1%}{gentle}   return {x.returns.mean():9.2f}   "
-                f"force {x.forces.mean():6.2f} N"
+                f"force {x.forces.mean():6.2f} N{_least(x, '   least helped: ')}"
             )
         for name, scores, form in (
             ("success", self.successes, "{:.1%}"),
@@ -87,6 +87,8 @@ class SeedScores:
         gentle = {}
         if first.gentle_success is not None:
             gentle["gentle_success_of_seeds"] = [x.gentle_success for x in self.results.values()]
+        least = [x.least_helped for x in self.results.values()]
+        groups = {"least_helped_of_seeds": [x and vars(x) for x in least]} if any(least) else {}
         success, returns = bootstrap_interval(self.successes), bootstrap_interval(self.returns)
         return {
             "env": first.env,
@@ -94,6 +96,7 @@ class SeedScores:
             "seeds": list(self.results),
             "success_of_seeds": [x.success for x in self.results.values()],
             **gentle,
+            **groups,
             "return_of_seeds": [float(x.returns.mean()) for x in self.results.values()],
             "force_of_seeds": [float(x.forces.mean()) for x in self.results.values()],
             "success_iqm": iqm(self.successes.mean(1)),
@@ -132,7 +135,14 @@ def score_seeds(
         results[seed] = found = evaluator(policy, key, deterministic)
         gentle = "" if found.gentle_success is None else f", gently in {found.gentle_success:.1%}"
         if report:
+            least = _least(found, "; least helped: ")
             report(
-                f"{len(results)} of {len(policies)}: seed {seed} succeeds in {found.success:.1%}{gentle}"
+                f"{len(results)} of {len(policies)}: seed {seed} succeeds in {found.success:.1%}{gentle}{least}"
             )
     return SeedScores(results, by)
+
+
+def _least(result: EvaluationResult, before: str) -> str:
+    """The group that a policy helps least, in words; empty if there is none."""
+    least = result.least_helped
+    return "" if least is None else f"{before}{least.name}, {least.success:.1%}"

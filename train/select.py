@@ -37,6 +37,8 @@ from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
 from .evaluation.seed_scores import SeedScores, score_seeds
+from .runs.candidates import score
+from .runs.overview import read_rows
 from .runs.record import append_record, record
 
 CHOSEN = (
@@ -44,6 +46,8 @@ CHOSEN = (
     "gentle_success", "peak_median", "peak_99",
 )  # fmt: skip
 """Entries of the chosen policy's summary that are printed; the last ones only if the environment measures them."""
+GAP = 0.1
+"""From which difference on it is said that a seed succeeds more often with the noise of its training than without."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +150,27 @@ def select(
     return scores, evaluator(policies[scores.best], jax.random.PRNGKey(config.report_seed))
 
 
+def successes_with_noise(run: Path) -> list[float | None]:
+    """The success rate of each seed at the end of its training, with sampled actions; None where it has no curve."""
+    curves = [read_rows(folder / "curve.jsonl") for folder in seed_folders(run).values()]
+    return [score(rows, rows[-1]["env_steps"])[0] if rows else None for rows in curves]
+
+
+def needs_noise(scores: SeedScores, with_noise: Sequence[float | None]) -> str:
+    """Say which seeds succeed more often with noise than by the mode of their distribution; empty if none does."""
+    found = [
+        f"seed {seed} ({noisy:.1%}, mode {x.success:.1%})"
+        for (seed, x), noisy in zip(scores.results.items(), with_noise, strict=True)
+        if noisy is not None and noisy - x.success > GAP
+    ]
+    if not found:
+        return ""
+    return (
+        f'More often successful at the end of the training, with noise: {", ".join(found)}. See docs/seeds.md, "What seeds do '
+        f'that fail"; --noise-ceiling 1 bounds the noise, smaller ceilings let it fall.'
+    )
+
+
 def say(text: str) -> None:
     """Print a line of progress."""
     print(text, file=sys.stderr, flush=True)
@@ -206,7 +231,10 @@ def main(
     scores, reported = select(evaluator, policies, config)
     ships, unfit = measure_shipped(evaluator, config) if config.shipped else (None, "")
     trained_with = keep(run, scores.best, env)
+    with_noise = successes_with_noise(run)
     print(scores.table())
+    if needs := needs_noise(scores, with_noise):
+        print(needs)
     print(f"Chosen: seed {scores.best}, now {run / FILE_NAMES['robot']}. On other people:")
     print(reported.table())
     if ships or unfit:
@@ -216,6 +244,7 @@ def main(
         line = record(
             "selection",
             **scores.summary(),
+            success_with_noise_of_seeds=with_noise,
             chosen=scores.best,
             chosen_by=scores.by,
             reported=summary,

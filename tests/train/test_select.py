@@ -79,6 +79,23 @@ def test_seeds_can_be_ranked_by_gentle_success():
     assert "gentle  75.0%" in SeedScores(results).table()
 
 
+def test_a_seed_that_needs_noise_is_named(tmp_path):
+    for seed, rates in ((1, (0.2, 0.9)), (2, (0.5, 0.5)), (3, ())):
+        folder = tmp_path / f"seed_{seed}"
+        folder.mkdir()
+        (folder / "policy.npz").touch()
+        rows = [
+            {"env_steps": 100 * i, "episodes": 8, "success": rate, "return_per_step": 0.0}
+            for i, rate in enumerate(rates, start=1)
+        ]
+        (folder / "curve.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    noisy = select.successes_with_noise(tmp_path)
+    assert noisy == [0.9, 0.5, None]
+    told = select.needs_noise(scores([1, 0, 0, 0], [1, 1, 0, 0], [0, 0, 0, 0]), noisy)
+    assert "seed 5 (90.0%, mode 25.0%)." in told and "seed 6" not in told
+    assert select.needs_noise(scores([1, 1, 1, 1]), [0.95]) == ""
+
+
 @pytest.mark.slow
 def test_a_run_with_a_cost_limit_is_chosen_by_gentle_success(tmp_path, capsys):
     limited = dataclasses.replace(SHORT, save_dir=str(tmp_path), cost_limit=1.0)

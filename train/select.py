@@ -157,11 +157,11 @@ def successes_with_noise(run: Path) -> list[float | None]:
 
 
 def needs_noise(scores: SeedScores, with_noise: Sequence[float | None]) -> str:
-    """Say which seeds succeed more often with noise than by the mode of their distribution; empty if none does."""
+    """Say which seeds succeed clearly more often with noise than by the mode of their distribution; empty if none does."""
     found = [
         f"seed {seed} ({noisy:.1%}, mode {x.success:.1%})"
         for (seed, x), noisy in zip(scores.results.items(), with_noise, strict=True)
-        if noisy is not None and noisy - x.success > GAP
+        if noisy is not None and noisy > max(x.success + GAP, x.success_interval[1])
     ]
     if not found:
         return ""
@@ -233,7 +233,7 @@ def main(
     trained_with = keep(run, scores.best, env)
     with_noise = successes_with_noise(run)
     print(scores.table())
-    if needs := needs_noise(scores, with_noise):
+    if not trained_with and (needs := needs_noise(scores, with_noise)):  # else other people
         print(needs)
     print(f"Chosen: seed {scores.best}, now {run / FILE_NAMES['robot']}. On other people:")
     print(reported.table())

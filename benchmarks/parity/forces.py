@@ -2,8 +2,9 @@
 
 Assistive Gym solves motors and contacts as one system, so a contact presses with what motors, joint limits and momentum give.
 Here the impulses on the robot's joints are accounted for over every control step of C MuJoCo (`agym_jax/sim/impulse.py`), with
-actions that change every half second, and under the shipped policies, with a memory where one ships. What the account lacks is an error of the integration;
-a force beyond what motors at their bound, limits and momentum give on every joint would have no cause at all.
+actions that change every half second, and under the shipped policies, with and without a memory. What the account lacks is an
+error of the integration; a force beyond what motors at their bound, limits and momentum give on every joint would have no
+cause at all. The largest forces are impacts of a single step, of a scooper on the bed for example.
 """
 
 from __future__ import annotations

@@ -94,6 +94,7 @@ def test_a_seed_that_needs_noise_is_named(tmp_path):
     told = select.needs_noise(scores([1, 0, 0, 0], [1, 1, 0, 0], [0, 0, 0, 0]), noisy)
     assert "seed 5 (90.0%, mode 25.0%)." in told and "seed 6" not in told
     assert select.needs_noise(scores([1, 1, 1, 1]), [0.95]) == ""
+    assert select.needs_noise(scores([1, 0, 0, 0]), [0.5]) == ""  # four episodes do not tell
 
 
 @pytest.mark.slow
@@ -121,6 +122,7 @@ def test_the_chosen_seed_is_reported_over_other_episodes_and_ready_for_use(runs,
     of_seeds = dict(zip(line["seeds"], line["success_of_seeds"], strict=True))
     assert of_seeds[line["chosen"]] == max(of_seeds.values())
     assert (line["chosen_over"], line["reported_over"]) == (2001, 1001)
+    assert all(0 <= x <= 1 for x in line["success_with_noise_of_seeds"])
     chosen = read_policy(long / "policy.npz")
     assert chosen.info["seed"] == line["chosen"]
     told = capsys.readouterr()

@@ -30,7 +30,7 @@ from train import ppo
 from train.configs import config_for
 began, name, impl = float(sys.argv[1]), sys.argv[2], sys.argv[3]
 env = agym_jax.make(name, impl=impl)
-run = ppo.train(env, dataclasses.replace(config_for(name), num_env_steps=1, save_dir=None))
+run = ppo.train(env, dataclasses.replace(config_for(name), num_env_steps=1, num_candidates=1, save_dir=None))
 print(json.dumps({
     "impl": env.impl, "num_envs": run.config.num_envs, "compile_s": run.compile_seconds,
     "until_training_s": time.time() - began - run.train_seconds,

@@ -13,7 +13,7 @@ from agym_jax.policy.policy import shipped, shipped_folder
 from benchmarks import markdown
 from benchmarks.care_tables import among_everybody, worst_group
 from benchmarks.markdown import EARLIER, NOTHING, RESULTS, Line
-from benchmarks.policy_tables import COMMIT, seeds_and_steps, seeds_in_percent
+from benchmarks.policy_tables import COMMIT, of_both_sizes, seeds_and_steps, seeds_in_percent
 from train.runs.overview import share
 
 
@@ -57,7 +57,7 @@ def trainings(folder: Path = RESULTS) -> str:
     columns = {
         "environment": lambda x: x["env"] + (" ‡" if "code" in x else ""),
         "memory [s]": times,
-        "seeds x steps": seeds_and_steps,
+        "seeds x steps": lambda x: seeds_and_steps(x) + of_both_sizes(x),
         "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
         "worst, interquartile mean": worst_and_mean,
         "chosen seed, over other people": lambda x: f"{x['chosen']}: {_success(x['reported'])}",

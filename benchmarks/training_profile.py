@@ -218,6 +218,7 @@ def measure(config: TrainingProfileConfig) -> dict[str, Any]:
         from train import ppo
         from train.configs import PPOConfig, config_for
         from train.envs import make_env
+        from train.task_changes import NO_SEARCH
 
         if jax.default_backend() != "gpu":
             raise missing
@@ -227,7 +228,7 @@ def measure(config: TrainingProfileConfig) -> dict[str, Any]:
         per_call = config.num_envs * settings.num_steps
         settings = replace(
             settings, num_envs=config.num_envs, num_seeds=config.num_seeds, log_interval=1, save_dir=None,
-            num_env_steps=(AFTER + 2) * per_call,
+            num_env_steps=(AFTER + 2) * per_call, **NO_SEARCH,
         )  # fmt: skip
         result = ppo.train(env, settings, Tracing(folder / "trace"))
         programs = folder.rglob("*after_optimizations.txt")

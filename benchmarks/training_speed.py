@@ -25,6 +25,7 @@ from train import coop, ppo
 from train.configs import Config, CoopConfig, Count, PPOConfig, config_for, resolve
 from train.envs import make_env
 from train.runs.progress import for_terminal
+from train.task_changes import NO_SEARCH
 
 CALLS = 10
 """Calls of the compiled training in one measurement, after a first one that does not count."""
@@ -97,6 +98,7 @@ def _settings(settings: Config, config: TrainingSpeedConfig, devices: int) -> Co
         devices=devices,
         num_seeds=config.num_seeds,
         save_dir=None,
+        **NO_SEARCH,
     )
 
 

@@ -17,11 +17,9 @@ import tyro
 from agym_jax.flags import Count, EnvFlags, env_name_in, task_config
 
 from .errors import ConfigError, check_save_dir
-from .task_changes import CPU_CHANGES, TASK_CHANGES
+from .task_changes import CPU_CHANGES, SEARCH_CHANGES, TASK_CHANGES
 
-POSITIVE = (
-    "lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling", "candidates_until",
-)  # fmt: skip
+POSITIVE = "lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling", "candidates_until"  # fmt: skip
 NOT_NEGATIVE = (
     "value_loss_coef", "entropy_coef", "policy_head_gain", "noise_floor", "noise_ceiling",
     "cost_limit", "cost_proportional", "cost_integral", "cost_derivative", "cost_multiplier_max",
@@ -299,6 +297,8 @@ def config_for(
         continues: whether training starts from a policy, which need not find out what succeeds.
     """
     changes = entry_of(TASK_CHANGES, env_name, {})
+    if kind is PPOConfig and platform != "cpu" and not continues and "Human" not in env_name:
+        changes = changes | entry_of(SEARCH_CHANGES, env_name, {})
     changes = changes | (entry_of(CPU_CHANGES, env_name, {}) if platform == "cpu" else {})
     changes = changes | (dict.fromkeys(NOISE_BOUNDS, 0.0) if continues else {})
     return dataclasses.replace(kind(), env_name=env_name, task=task_config(env_name), **changes)

@@ -33,6 +33,7 @@ from .learning.seeds import Lane
 from .runs.progress import Progress, for_terminal
 from .runs.result import SeedResult, TrainResult, summary
 from .runs.session import resolve_config, run_session
+from .task_changes import NO_SEARCH
 
 SWEPT = (
     "lr", "use_linear_lr_decay", "gamma", "gae_lambda", "clip_param", "value_loss_coef", "entropy_coef",
@@ -208,7 +209,7 @@ def main(
     config = config_for(flags.env_name, platform=jax.default_backend(), continues=continues)
     config = dataclasses.replace(
         config, seed=flags.seed, impl=flags.impl, save_dir=flags.save_dir, robot_policy=flags.robot_policy,
-        num_envs=flags.num_envs or config.num_envs, num_env_steps=flags.num_env_steps or config.num_env_steps,
+        num_envs=flags.num_envs or config.num_envs, num_env_steps=flags.num_env_steps or config.num_env_steps, **NO_SEARCH,
     )  # fmt: skip
     env = make(flags.env_name, flags.impl, **flags.options())
     result = sweep(env, config, settings, flags.num_seeds, for_terminal())

@@ -17,6 +17,7 @@ from train.configs import (
     resolve,
 )
 from train.errors import ConfigError
+from train.task_changes import NO_SEARCH
 
 
 @pytest.mark.parametrize(
@@ -111,9 +112,29 @@ def test_two_learners_have_the_settings_of_one_in_the_same_task(task):
     two = config_for(f"{task}JacoHuman-v0", CoopConfig)
     for platform in ("cpu", "gpu"):
         resolved = [dataclasses.asdict(resolve(config, platform)) for config in (one, two)]
-        common = resolved[0].keys() & resolved[1].keys() - {"env_name"}
+        common = resolved[0].keys() & resolved[1].keys() - {
+            "env_name",
+            "candidates_until",
+            *NO_SEARCH,
+        }
         assert len(common) > 25
         assert {n: resolved[0][n] for n in common} == {n: resolved[1][n] for n in common}
+
+
+def test_trainings_that_rarely_find_success_search_for_it_with_candidates_and_restarts():
+    def searches(name, kind=PPOConfig, **more):
+        config = config_for(name, kind, **more)
+        return config.num_candidates, config.restart_share
+
+    assert searches("DressingPR2-v0") == searches("ArmManipulationJaco-v0") == (4, 0.5)
+    assert searches("ArmManipulationPR2-v0") == searches("DrinkingJaco-v0") == (1, 0.0)
+    assert searches("DressingPR2-v0", continues=True) == (1, 0.0)
+    assert searches("DressingPR2-v0", platform="cpu") == (1, 0.0)
+    assert (
+        searches("DressingPR2Human-v0") == searches("DressingPR2Human-v0", CoopConfig) == (1, 0.0)
+    )
+    words = "--env-name DressingPR2-v0 --num-candidates 1 --restart-share 0"
+    assert not NO_SEARCH.items() - vars(parse_arguments(words.split())).items()
 
 
 def test_the_command_line_of_two_learners_knows_its_own_flags():

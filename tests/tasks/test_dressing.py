@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -20,7 +21,16 @@ from agym_jax import observe
 from agym_jax.errors import SpecError
 from agym_jax.human.anthropometry import dims
 from agym_jax.matter.cloth import solver as fabrics
-from agym_jax.matter.cloth.obstacles import ag_taper
+from agym_jax.matter.cloth.obstacles import (
+    AG_GRID,
+    AG_MARGIN,
+    CAPSULE,
+    ENDS,
+    SPHERE,
+    ag_taper,
+    obstacles,
+    on_limbs,
+)
 from agym_jax.matter.cloth.sleeve import SleeveState
 from agym_jax.matter.cloth.solver import MAX_SLIP, ClothContact
 from agym_jax.robots import ROBOTS
@@ -212,11 +222,63 @@ def test_upper_arm_and_forearm_taper_and_nothing_else(monkeypatch):
     (_, none), (lengths, taper), (_, left_out) = given[0], given[10], given[20]
     assert len(given) == 30 and left_out is None and not none.any()
     half = lengths[:2] / 2  # upper arm, forearm
-    np.testing.assert_allclose(taper[:2], half * (1 - half / 0.25), rtol=1e-5)
+    np.testing.assert_allclose(taper[:2], ENDS * half * (1 - half / 0.25), rtol=1e-5)
     assert half.min() > 0.1 and not taper[2:].any()
 
 
-@pytest.mark.parametrize(("tapered", "per_newton"), [(0.0, 2.3), (1.0, 7.0)])
+def from_grid(points, half, radius):
+    """AG's distance of points (n, 3) from a capsule along z: linear between points of a grid around its middle."""
+    share, found = np.abs(points) / AG_GRID, 0.0
+    for corner in itertools.product((0, 1), repeat=3):
+        x, y, z = AG_GRID * np.array(corner)
+        distance = np.hypot(np.hypot(x, y), max(z - half, 0.0)) - radius
+        found += np.where(corner, share, 1 - share).prod(-1) * distance
+    return found
+
+
+@pytest.mark.parametrize("sex", [0.0, 1.0])
+def test_a_tapering_arm_is_as_thick_as_assistive_gyms_grid_makes_it_in_the_mean(sex):
+    d, along = dims(sex), np.linspace(0.0, 0.12, 1201)
+
+    def mean(ways, half, radius, at=0.0):
+        """Over directions (n, 3): how far from a point of the axis the cloth stays [m]."""
+        points = ways[:, None] * along[:, None] + (0.0, 0.0, at)
+        return along[(from_grid(points, half, radius) < AG_MARGIN).sum(1)].mean()
+
+    angle = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    around = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
+    every = np.random.default_rng(0).normal(size=(500, 3))
+    every /= np.linalg.norm(every, axis=1, keepdims=True)
+    radius, half = float(d.forearm_r), float(d.forearm_l) / 2
+    middle, end = mean(around, half, radius), mean(around, half, radius, half)
+    assert pytest.approx(middle, abs=0.001) == CAPSULE * (radius + AG_MARGIN)
+    taper = float(ag_taper(jnp.zeros((1, 3)), jnp.array([[0.0, 0.0, d.forearm_l]]))[0])
+    assert middle - end == pytest.approx(ENDS * taper, abs=0.002)
+    for radius in (float(d.forearm_r), float(d.upper_arm_r)):
+        assert pytest.approx(mean(every, 0.0, radius), abs=0.001) == SPHERE * (radius + AG_MARGIN)
+
+
+def test_spheres_are_at_the_joints_of_the_arm_and_press_on_its_limbs():
+    limbs = "left_upper_arm", "left_forearm", "left_hand"
+    joints = np.array(
+        [[0.0, 0.0, 1.5], [0.0, 0.0, 1.2], [0.0, 0.0, 0.95]]
+    )  # shoulder, elbow, wrist
+    where = {x: jnp.asarray(joints[[i]], jnp.float32) for i, x in enumerate(limbs)}
+    d, turned = dims(0.0), dict.fromkeys(limbs, jnp.eye(3)[None])
+    a, b, radius = obstacles(d, limbs, where, turned, joints=True)
+    without = obstacles(d, limbs, where, turned)[2]
+    assert len(radius) == len(without) + 3
+    np.testing.assert_allclose(a[0, -3:], b[0, -3:])
+    ends = joints[0] - [[0, 0, 0], [0, 0, d.upper_arm_l], [0, 0, 0]]
+    ends[2] = joints[1] - [0, 0, d.forearm_l]
+    np.testing.assert_allclose(a[0, -3:], ends, atol=1e-6)
+    np.testing.assert_allclose(radius[-3:], [d.upper_arm_r, d.upper_arm_r, d.forearm_r])
+    total = jnp.arange(1.0, 1.0 + len(radius))
+    np.testing.assert_allclose(on_limbs(total, limbs, joints=True), [1 + 6 + 7, 2 + 8, 3])
+    np.testing.assert_allclose(on_limbs(total[:-3], limbs, joints=False), [1, 2, 3])
+
+
+@pytest.mark.parametrize(("tapered", "per_newton"), [(0.0, 2.3), (1.0, 7.7)])
 def test_a_newton_counts_for_more_on_an_arm_that_tapers(tapered: float, per_newton: float):
     state = replace(start(), force=start().force.at[:2].set(1.5), tapered=jnp.float32(tapered))
     assert float(felt(state)) == pytest.approx(3.0 * per_newton)

@@ -21,38 +21,93 @@ ARMREST_RADIUS = 0.034  # [m]
 TAPERING = ("left_upper_arm", "left_forearm")
 AG_GRID = 0.25
 """Distance of the points between which AG's cloth interpolates how far it is from a limb [m] (btSparseSDF, voxelsz)."""
+AG_MARGIN = 0.04  # of AG's cloth around a limb [m]
+CAPSULE, SPHERE = 0.82, 0.71
+"""How far AG's cloth stays from a capsule's axis in its middle, and from the centre of a sphere, as shares of radius and margin (means over
+all directions; 1 along the grid's axes)."""
+ENDS = 0.79
+"""Of ``ag_taper``, in the mean over all directions around the axis."""
+JOINTS = (1, 0), (0, 0), (0, 1)
+"""AG's spheres for the gown, at shoulder, elbow and wrist: on which end of which tapering limb. Each is as thick as that limb."""
 
 
 def obstacles(
-    d: Dims, limbs: tuple[str, ...], pos_w: dict[str, Array], rot_w: dict[str, Array]
-) -> tuple[Array, Array, Array]:
-    """Return the k capsules of limbs and armrest at n moments; the limbs come first.
+    d: Dims, limbs: tuple[str, ...], pos_w: dict[str, Array], rot_w: dict[str, Array], joints: bool = False,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Return the k capsules of limbs and armrest at n moments; the limbs come first, joints last.
 
     Args:
         d: sizes of the person.
         limbs: names of the limbs.
         pos_w: limb -> its joint, world [m] (n, 3).
         rot_w: limb -> rotation matrix (n, 3, 3).
+        joints: whether the joints of the arm have spheres, which matters only where its limbs taper.
 
     Returns:
         both ends, world [m] (n, k, 3), and radii [m] (k,).
     """
     a, b, radius = link_capsules(d, limbs, pos_w, rot_w)
     still = jnp.broadcast_to(jnp.array(ARMREST), (len(a), 2, 2, 3))
-    a, b = (jnp.concatenate([x, still[:, :, i]], 1) for i, x in enumerate((a, b)))
-    return a, b, jnp.concatenate([radius, jnp.full(len(ARMREST), ARMREST_RADIUS)])
+    spheres = [(a, b)[end][:, limb] for end, limb in _joints_of(limbs)] if joints else []
+    more = [x[:, None] for x in spheres]
+    a, b = (jnp.concatenate([x, still[:, :, i], *more], 1) for i, x in enumerate((a, b)))
+    thick = [radius[limb][None] for _, limb in _joints_of(limbs)] if joints else []
+    return a, b, jnp.concatenate([radius, jnp.full(len(ARMREST), ARMREST_RADIUS), *thick])
 
 
-def arm_taper(limbs: Sequence[str], a_w: Array, b_w: Array) -> Array:
-    """Return how much thinner AG's cloth finds upper arm and forearm at their ends than in the middle [m] (k,); 0 for others.
+def _joints_of(limbs: Sequence[str]) -> list[tuple[int, int]]:
+    """End and index of the limb of each of JOINTS."""
+    return [(end, shapes_of(limbs).index(TAPERING[limb])) for end, limb in JOINTS]
+
+
+def ag_radii(limbs: Sequence[str], radius: Array, thickness: float) -> Array:
+    """Return the radii of the obstacles [m] (k,), those of the arm as AG's cloth finds them.
 
     Args:
         limbs: as for ``obstacles``.
-        a_w: one end of each of its capsules at a moment, world [m] (k, 3).
-        b_w: the other end, world [m] (k, 3).
+        radius: from ``obstacles``, with joints [m] (k,).
+        thickness: of the cloth, which stays so far away [m].
     """
-    arm = np.array([x in TAPERING for x in shapes_of(limbs)] + [False] * len(ARMREST))
-    return jnp.where(arm, ag_taper(a_w, b_w), 0.0)
+    shares = dict.fromkeys(TAPERING, CAPSULE) | {"left_hand": SPHERE}
+    share = [shares.get(x, 0.0) for x in shapes_of(limbs)] + [0.0] * len(ARMREST)
+    share = np.array(share + [SPHERE] * len(JOINTS))
+    return jnp.where(share > 0, share * (radius + AG_MARGIN) - thickness, radius)
+
+
+def on_limbs(total: Array, limbs: Sequence[str], joints: bool) -> Array:
+    """Return the force on each limb [N] (len(limbs),): what presses on a joint's sphere presses on its limb.
+
+    Args:
+        total: on each obstacle, and the floor [N] (k + 1,).
+        limbs: as for ``obstacles``.
+        joints: as for ``obstacles``.
+    """
+    of = total[: len(limbs)]
+    if joints:
+        first = len(shapes_of(limbs)) + len(ARMREST)
+        for i, (_, limb) in enumerate(_joints_of(limbs)):
+            of = of.at[limb].add(total[first + i])
+    return of
+
+
+def tapering(
+    limbs: Sequence[str], a_w: Array, b_w: Array, radius: Array, thickness: float, tapered: Array
+) -> tuple[Array, Array]:
+    """Return the obstacles' radii in the middle, and how much thinner they are at their ends [m], each (k,).
+
+    Args:
+        limbs: as for ``obstacles``.
+        a_w: one end of each of its obstacles at a moment, with joints, world [m] (k, 3).
+        b_w: the other end, world [m] (k, 3).
+        radius: of them [m] (k,).
+        thickness: of the cloth, which stays so far away [m].
+        tapered: 1 for an arm as AG's cloth finds it, 0 for capsules ().
+    """
+    thinner = ag_radii(limbs, radius, thickness)
+    arm = np.array([x in TAPERING for x in shapes_of(limbs)])
+    arm = np.pad(arm, (0, len(a_w) - len(arm)))
+    taper = jnp.where(arm, tapered * ENDS * ag_taper(a_w, b_w), 0.0)
+    return jnp.where(tapered > 0.0, thinner, radius), taper
 
 
 def ag_taper(a_w: Array, b_w: Array) -> Array:

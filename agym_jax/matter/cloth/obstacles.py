@@ -27,8 +27,12 @@ CAPSULE, SPHERE = 0.82, 0.71
 all directions; 1 along the grid's axes)."""
 ENDS = 0.79
 """Of ``ag_taper``, in the mean over all directions around the axis."""
-JOINTS = (1, 0), (0, 0), (0, 1)
-"""AG's spheres for the gown, at shoulder, elbow and wrist: on which end of which tapering limb. Each is as thick as that limb."""
+JOINTS = (
+    ("left_upper_arm", "left_upper_arm"),
+    ("left_forearm", "left_upper_arm"),
+    ("left_hand", "left_forearm"),
+)
+"""AG's spheres for the gown, at shoulder, elbow and wrist: at the joint of which limb, and as thick as which."""
 
 
 def obstacles(
@@ -48,16 +52,15 @@ def obstacles(
     """
     a, b, radius = link_capsules(d, limbs, pos_w, rot_w)
     still = jnp.broadcast_to(jnp.array(ARMREST), (len(a), 2, 2, 3))
-    spheres = [(a, b)[end][:, limb] for end, limb in _joints_of(limbs)] if joints else []
-    more = [x[:, None] for x in spheres]
+    more = [pos_w[joint][:, None] for joint, _ in JOINTS] if joints else []
     a, b = (jnp.concatenate([x, still[:, :, i], *more], 1) for i, x in enumerate((a, b)))
-    thick = [radius[limb][None] for _, limb in _joints_of(limbs)] if joints else []
+    thick = [radius[limb][None] for limb in _thick_as(limbs)] if joints else []
     return a, b, jnp.concatenate([radius, jnp.full(len(ARMREST), ARMREST_RADIUS), *thick])
 
 
-def _joints_of(limbs: Sequence[str]) -> list[tuple[int, int]]:
-    """End and index of the limb of each of JOINTS."""
-    return [(end, shapes_of(limbs).index(TAPERING[limb])) for end, limb in JOINTS]
+def _thick_as(limbs: Sequence[str]) -> list[int]:
+    """Index of the limb that is as thick as each of JOINTS."""
+    return [shapes_of(limbs).index(limb) for _, limb in JOINTS]
 
 
 def ag_radii(limbs: Sequence[str], radius: Array, thickness: float) -> Array:
@@ -85,7 +88,7 @@ def on_limbs(total: Array, limbs: Sequence[str], joints: bool) -> Array:
     of = total[: len(limbs)]
     if joints:
         first = len(shapes_of(limbs)) + len(ARMREST)
-        for i, (_, limb) in enumerate(_joints_of(limbs)):
+        for i, limb in enumerate(_thick_as(limbs)):
             of = of.at[limb].add(total[first + i])
     return of
 

@@ -17,6 +17,7 @@ import agym_jax
 from agym_jax.human.population import Human
 from agym_jax.spec import Measure
 from train.evaluate import evaluate
+from train.evaluation.outcome import Outcome
 from train.evaluation.people import People, by_group, people_in, worst
 from train.evaluation.score import EvaluationResult
 from train.evaluation.seed_scores import SeedScores
@@ -120,6 +121,20 @@ def test_the_table_of_seeds_says_whom_each_helps_least():
     least, unknown = scores.summary()["least_helped_of_seeds"]
     assert (least["name"], least["episodes"], least["success"]) == ("men", 50, 0.0) and not unknown
     assert "least_helped_of_seeds" not in SeedScores({2: results[2]}).summary()
+
+
+def test_the_table_of_seeds_says_how_episodes_end():
+    held = Measure("held", "1", "share of episodes in which the gripper still holds the gown")
+    values = {"held": np.arange(100) < 2}
+    end = Outcome((held,), values, np.full(100, np.nan))
+    done, nobody = np.ones(100, bool), np.zeros(100, bool)
+    result = EvaluationResult("X-v0", *np.zeros((2, 100)), done, nobody, 0, 1.0, outcome=end)
+    other = EvaluationResult("X-v0", *np.zeros((2, 100)), done, nobody, 0, 1.0)
+    scores = SeedScores({1: result, 2: other})
+    assert scores.table().splitlines()[1].endswith("2% held")
+    assert "held" not in scores.table().splitlines()[2]
+    assert [x and x["task/held"] for x in scores.summary()["outcome_of_seeds"]] == [0.02, None]
+    assert "outcome_of_seeds" not in SeedScores({2: other}).summary()
 
 
 def test_who_has_no_joint_that_moves_does_not_tremble():

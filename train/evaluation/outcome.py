@@ -58,6 +58,10 @@ class Outcome:
             found.append(("time to success [s]", f"{self.median_time:9.1f}   median; 90 % within {high:.1f}"))  # fmt: skip
         return found
 
+    def in_words(self) -> str:
+        """Return the means of the measures in few words: "76% covered, 2% held"."""
+        return ", ".join(in_words(x, float(self.values[x.name].mean())) for x in self.measures)
+
     def summary(self) -> dict[str, Any]:
         """Return the same as fields of a JSON line."""
         means = {f"{TASK_PREFIX}{x.name}": float(self.values[x.name].mean()) for x in self.measures}

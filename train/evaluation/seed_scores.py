@@ -68,7 +68,7 @@ class SeedScores:
             gentle = "" if x.gentle_success is None else f"   gentle {x.gentle_success:6.1%}"
             lines.append(
                 f"  seed {seed:<4} success {x.success:6.1%}{gentle}   return {x.returns.mean():9.2f}   "
-                f"force {x.forces.mean():6.2f} N{_least(x, '   least helped: ')}"
+                f"force {x.forces.mean():6.2f} N{_least(x, '   least helped: ')}{_outcome(x, '   ')}"
             )
         for name, scores, form in (
             ("success", self.successes, "{:.1%}"),
@@ -89,6 +89,8 @@ class SeedScores:
             gentle["gentle_success_of_seeds"] = [x.gentle_success for x in self.results.values()]
         least = [x.least_helped for x in self.results.values()]
         groups = {"least_helped_of_seeds": [x and vars(x) for x in least]} if any(least) else {}
+        ends = [x.outcome and x.outcome.summary() for x in self.results.values()]
+        outcomes = {"outcome_of_seeds": ends} if any(ends) else {}
         success, returns = bootstrap_interval(self.successes), bootstrap_interval(self.returns)
         return {
             "env": first.env,
@@ -97,6 +99,7 @@ class SeedScores:
             "success_of_seeds": [x.success for x in self.results.values()],
             **gentle,
             **groups,
+            **outcomes,
             "return_of_seeds": [float(x.returns.mean()) for x in self.results.values()],
             "force_of_seeds": [float(x.forces.mean()) for x in self.results.values()],
             "success_iqm": iqm(self.successes.mean(1)),
@@ -135,7 +138,7 @@ def score_seeds(
         results[seed] = found = evaluator(policy, key, deterministic)
         gentle = "" if found.gentle_success is None else f", gently in {found.gentle_success:.1%}"
         if report:
-            least = _least(found, "; least helped: ")
+            least = _least(found, "; least helped: ") + _outcome(found, "; ")
             report(
                 f"{len(results)} of {len(policies)}: seed {seed} succeeds in {found.success:.1%}{gentle}{least}"
             )
@@ -146,3 +149,9 @@ def _least(result: EvaluationResult, before: str) -> str:
     """The group that a policy helps least, in words; empty if there is none."""
     least = result.least_helped
     return "" if least is None else f"{before}{least.name}, {least.success:.1%}"
+
+
+def _outcome(result: EvaluationResult, before: str) -> str:
+    """How a policy's episodes end in the task's own measures, in words; empty if it has none."""
+    end = result.outcome and result.outcome.in_words()
+    return f"{before}{end}" if end else ""

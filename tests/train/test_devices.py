@@ -191,7 +191,7 @@ for devices in (1, 2):
         "episodes": sum(row["episodes"] for row in result.curve), "used": result.config.devices,
         "rows": [len(seed.curve) for seed in result.seeds], "session": result.session_steps,
     }
-result = ppo.train(FakePairEnv(active=False), PPOConfig(**BASE, devices=2, restart_share=0.5))
+result = ppo.train(FakePairEnv(active=False), PPOConfig(**BASE, devices=2, restart_share=0.5, num_candidates=2, candidates_until=0.3))
 found["restarts"] = [seed.curve[-1]["success"] for seed in result.seeds], result.config.devices
 with tempfile.TemporaryDirectory() as folder:
     config, sessions = CoopConfig(**BASE | {"save_dir": folder}), []

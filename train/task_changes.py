@@ -92,7 +92,7 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
 # Baxter 47 and 89 instead of 0 and 76, Sawyer 0.1 and 71 instead of 0 and 31, Jaco 0 and 59 instead of 0 and 60, but with a memory and people
 # of every size 91 and 95 (4 M). Not tried with pairs and on a CPU.
 _SEARCH: dict[str, Any] = {"num_candidates": 4, "candidates_until": 0.3, "restart_share": 0.5}
-SEARCH_CHANGES: dict[str, dict[str, Any]] = {"ArmManipulationJaco-": _SEARCH, "Dressing": _SEARCH}
+SEARCH_CHANGES: dict[str, dict[str, Any]] = {"ArmManipulationJaco": _SEARCH, "Dressing": _SEARCH}
 NO_SEARCH: dict[str, Any] = {"num_candidates": 1, "restart_share": 0.0}
 
 # What a CPU changes besides. There a step of learning with large networks takes longer than a step of the environment.

@@ -10,7 +10,7 @@ gown presses on the person, the mean over a control step, summed over its vertic
 ``tapered_arms``, AG_FORCE_TAPERED).
 DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor, not the robot. It stays 38 mm away from limbs, which are capsules. AG's
 keeps 40 mm from limbs, and from spheres at shoulder, elbow and wrist, whose distance it knows at points 0.25 m apart, linear in between: in the middle of a man's forearm it stays 54 to 73 mm
-from the axis (71 here), 51 to 83 mm from the middle of elbow and hand (81), and 28 to 36 mm 5 cm from the elbow (71); nearest in two recorded episodes: man 51, 43 and 25, woman 45, 40 and 12.
+from the axis (71 here), 51 to 83 mm from the middle of elbow and hand (81), and 34 to 47 mm 4 cm from the elbow (71); nearest in two recorded episodes, pressed: man 51, 43 and 25, woman 45, 40 and 12.
 With ``tapered_arms``, the arm is as thick here too, in the mean over directions, in a share of the episodes.
 DEVIATION(dressing-limits): the joint limits of the person's arm hold here as in every task.
 """
@@ -79,7 +79,7 @@ class Config:
         action: weight of the squared action [1].
         dressed: how far it must have moved for success [m].
         tapered_arms: share of the episodes in which the gown meets the arm as AG's cloth does, as two limbs that taper
-            towards shoulder, elbow and wrist [1].
+            towards spheres at shoulder, elbow and wrist [1].
         settled_gown: share of the episodes that begin with the packaged gown as it hung in AG, settled in front of the hand;
             in the others it swings back to the hand [1].
         preferences: weights of the human-preference terms.

@@ -260,9 +260,8 @@ def test_a_tapering_arm_is_as_thick_as_assistive_gyms_grid_makes_it_in_the_mean(
 
 def test_spheres_are_at_the_joints_of_the_arm_and_press_on_its_limbs():
     limbs = "left_upper_arm", "left_forearm", "left_hand"
-    joints = np.array(
-        [[0.0, 0.0, 1.5], [0.0, 0.0, 1.2], [0.0, 0.0, 0.95]]
-    )  # shoulder, elbow, wrist
+    shoulder, elbow, wrist = (0.0, 0.0, 1.5), (0.0, 0.0, 1.2), (0.0, 0.0, 0.95)
+    joints = np.array([shoulder, elbow, wrist])
     where = {x: jnp.asarray(joints[[i]], jnp.float32) for i, x in enumerate(limbs)}
     d, turned = dims(0.0), dict.fromkeys(limbs, jnp.eye(3)[None])
     a, b, radius = obstacles(d, limbs, where, turned, joints=True)
@@ -274,6 +273,8 @@ def test_spheres_are_at_the_joints_of_the_arm_and_press_on_its_limbs():
     total = jnp.arange(1.0, 1.0 + len(radius))
     np.testing.assert_allclose(on_limbs(total, limbs, joints=True), [1 + 6 + 7, 2 + 8, 3])
     np.testing.assert_allclose(on_limbs(total[:-3], limbs, joints=False), [1, 2, 3])
+    head = on_limbs(jnp.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0]), ("head", "neck"), joints=False)
+    np.testing.assert_allclose(head, [1 + 2 + 4, 8])  # with face and nose; nobody is the armrest
 
 
 @pytest.mark.parametrize(("tapered", "per_newton"), [(0.0, 2.3), (1.0, 7.7)])

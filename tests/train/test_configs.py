@@ -112,11 +112,8 @@ def test_two_learners_have_the_settings_of_one_in_the_same_task(task):
     two = config_for(f"{task}JacoHuman-v0", CoopConfig)
     for platform in ("cpu", "gpu"):
         resolved = [dataclasses.asdict(resolve(config, platform)) for config in (one, two)]
-        common = resolved[0].keys() & resolved[1].keys() - {
-            "env_name",
-            "candidates_until",
-            *NO_SEARCH,
-        }
+        apart = {"env_name", "candidates_until", *NO_SEARCH}
+        common = resolved[0].keys() & resolved[1].keys() - apart
         assert len(common) > 25
         assert {n: resolved[0][n] for n in common} == {n: resolved[1][n] for n in common}
 

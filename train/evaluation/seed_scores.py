@@ -138,9 +138,9 @@ def score_seeds(
         results[seed] = found = evaluator(policy, key, deterministic)
         gentle = "" if found.gentle_success is None else f", gently in {found.gentle_success:.1%}"
         if report:
-            least = _least(found, "; least helped: ") + _outcome(found, "; ")
+            more = _least(found, "; least helped: ") + _outcome(found, "; ")
             report(
-                f"{len(results)} of {len(policies)}: seed {seed} succeeds in {found.success:.1%}{gentle}{least}"
+                f"{len(results)} of {len(policies)}: seed {seed} succeeds in {found.success:.1%}{gentle}{more}"
             )
     return SeedScores(results, by)
 

@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from agym_jax.human.anthropometry import Dims
-from agym_jax.human.body import shapes_of
+from agym_jax.human.body import SHAPES, shapes_of
 from agym_jax.human.capsules import link_capsules
 
 ARMREST = (
@@ -54,13 +54,9 @@ def obstacles(
     still = jnp.broadcast_to(jnp.array(ARMREST), (len(a), 2, 2, 3))
     more = [pos_w[joint][:, None] for joint, _ in JOINTS] if joints else []
     a, b = (jnp.concatenate([x, still[:, :, i], *more], 1) for i, x in enumerate((a, b)))
-    thick = [radius[limb][None] for limb in _thick_as(limbs)] if joints else []
+    which = [shapes_of(limbs).index(limb) for _, limb in JOINTS] if joints else []
+    thick = [radius[limb][None] for limb in which]
     return a, b, jnp.concatenate([radius, jnp.full(len(ARMREST), ARMREST_RADIUS), *thick])
-
-
-def _thick_as(limbs: Sequence[str]) -> list[int]:
-    """Index of the limb that is as thick as each of JOINTS."""
-    return [shapes_of(limbs).index(limb) for _, limb in JOINTS]
 
 
 def ag_radii(limbs: Sequence[str], radius: Array, thickness: float) -> Array:
@@ -78,19 +74,17 @@ def ag_radii(limbs: Sequence[str], radius: Array, thickness: float) -> Array:
 
 
 def on_limbs(total: Array, limbs: Sequence[str], joints: bool) -> Array:
-    """Return the force on each limb [N] (len(limbs),): what presses on a joint's sphere presses on its limb.
+    """Return the force on each limb [N] (len(limbs),): on all its shapes, and on the spheres that are as thick as it.
 
     Args:
-        total: on each obstacle, and the floor [N] (k + 1,).
+        total: on each obstacle [N] (k,).
         limbs: as for ``obstacles``.
         joints: as for ``obstacles``.
     """
-    of = total[: len(limbs)]
-    if joints:
-        first = len(shapes_of(limbs)) + len(ARMREST)
-        for i, limb in enumerate(_thick_as(limbs)):
-            of = of.at[limb].add(total[first + i])
-    return of
+    pressed = [limbs.index(SHAPES[x]) for x in shapes_of(limbs)] + [len(limbs)] * len(ARMREST)
+    pressed += [limbs.index(limb) for _, limb in JOINTS] if joints else []
+    own = np.array(pressed) == np.arange(len(limbs))[:, None]
+    return jnp.where(own, total, 0.0).sum(-1)
 
 
 def tapering(

@@ -2,6 +2,7 @@
 
 python -m benchmarks.nan --impl warp --num-envs 16384
 python -m benchmarks.nan --policy shipped --env-name FeedingJaco-v0
+python -m benchmarks.nan --policy shipped --env-name BedBathingSawyer-v0 --memory 0.3 4
 
 An interrupt (Ctrl-C) ends the search; the result then is that of the steps made so far.
 """
@@ -45,6 +46,8 @@ class NanConfig:
     """Environments side by side."""
     policy: Literal["random", "shipped"] = "random"
     """Actions: drawn at random, or by the mode of the policy that ships."""
+    memory: tuple[float, ...] = ()
+    """Time constants of the memory [s]: with the shipped policy, the one with this memory."""
     num_steps: Count = 100_000_000
     """Steps in all, rounded up."""
     seed: int = 0
@@ -104,7 +107,7 @@ def noted_interrupt() -> Iterator[Callable[[], bool]]:
 def search(config: NanConfig) -> dict[str, Any]:
     """Run all steps; returns the fields of the result line."""
     key, key_reset = jax.random.split(jax.random.PRNGKey(config.seed))
-    venv = make_batch(config.env_name, config.impl, config.num_envs)
+    venv = make_batch(config.env_name, config.impl, config.num_envs, config.memory)
     act = None if config.policy == "random" else agym_jax.load_policy(config.env_name, venv.env)
     state = jax.jit(lambda key: first_state(venv, key))(key_reset)
     empty = {f"{name}/max": jnp.zeros(()) for name in FORCES}
@@ -140,6 +143,7 @@ def search(config: NanConfig) -> dict[str, Any]:
         "impl": venv.impl,
         "num_envs": config.num_envs,
         "policy": config.policy,
+        **({"memory": " ".join(f"{time:g}" for time in config.memory)} if config.memory else {}),
         "total_steps": done * CHUNK * config.num_envs,
         "seed": config.seed,
         "nan": int(sums["nan"]),

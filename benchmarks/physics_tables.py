@@ -23,7 +23,7 @@ def nan(folder: Path = RESULTS) -> str:
         "maximum": lambda x: f"{x['force/on_human/max']:.1f} N",
         "largest peak on a region": _peak,
     }
-    lines = read_results("nan", ("env", "impl", "policy"), folder)
+    lines = read_results("nan", ("env", "impl", "policy", "memory"), folder)
     return table(lines, columns, lambda x: (x["env"], x["impl"], _actions(x)))
 
 
@@ -33,7 +33,8 @@ def _peak(line: Line) -> str:
 
 
 def _actions(line: Line) -> str:
-    return {"random": "random", "shipped": "the shipped policy's"}[line.get("policy", "random")]
+    words = {"random": "random", "shipped": "the shipped policy's"}[line.get("policy", "random")]
+    return words + ", with a memory" * bool(line.get("memory"))
 
 
 def met_starts(folder: Path = RESULTS) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -17,9 +17,9 @@ Extra = Callable[[Totals, Any], Totals]
 Act = Callable[[jax.Array], jax.Array]
 
 
-def make_batch(env_name: str, impl: str, num_envs: int) -> Any:
-    """The vectorised, auto-resetting environment."""
-    return vectorize(agym_jax.make(env_name, impl=impl), num_envs)
+def make_batch(env_name: str, impl: str, num_envs: int, memory: Sequence[float] = ()) -> Any:
+    """The vectorised, auto-resetting environment; ``memory`` as in ``agym_jax.make``."""
+    return vectorize(agym_jax.make(env_name, impl=impl, memory=memory), num_envs)
 
 
 def first_state(venv: Any, key: jax.Array) -> Any:

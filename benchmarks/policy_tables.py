@@ -11,7 +11,7 @@ from agym_jax.data.assets import asset_root
 from agym_jax.data.npz import read_npz
 from agym_jax.errors import ArgumentError
 from agym_jax.policy.policy import shipped
-from agym_jax.registry import static_id
+from agym_jax.registry import parse, static_id
 from benchmarks.markdown import (
     NOTHING,
     RESULTS,
@@ -168,8 +168,18 @@ def selections(folder: Path = RESULTS) -> str:
 
 
 def suite(folder: Path = RESULTS) -> str:
-    """What the seeds of the newest suite achieve, all trained by one command, and how long the whole took."""
-    found = read_results("suite", ("env", "time"), folder)
+    """What the seeds of the newest suite of robots achieve, all trained by one command, and how long the whole took."""
+    return _suite(folder, active=False)
+
+
+def suite_pairs(folder: Path = RESULTS) -> str:
+    """The same of the newest suite of pairs."""
+    return _suite(folder, active=True)
+
+
+def _suite(folder: Path, active: bool) -> str:
+    lines = read_results("suite", ("env", "time"), folder)
+    found = [x for x in lines if parse(x["env"]).active == active]
     if not found:
         return NOTHING
     whole = max(found, key=itemgetter("time"))["suite"]

@@ -47,6 +47,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "policies": policy_tables.policies,
     "selections": policy_tables.selections,
     "suite": policy_tables.suite,
+    "suite-pairs": policy_tables.suite_pairs,
     "memory-trainings": memory_tables.trainings,
     "memory-policies": memory_tables.policies,
     "restarts": restart_tables.trainings,

@@ -52,7 +52,7 @@ class LearnConfig(EnvFlags):
     """With num_candidates: fraction of the run after which one of them continues."""
     restart_share: float = 0.0
     """Largest fraction of ended episodes that are followed by the rest of one that has just succeeded, from a random moment of
-    it on, instead of by a new one; it is smaller where few episodes succeed and falls to 0 as all do. See docs/seeds.md."""
+    it on, instead of by a new one; it is smaller where few episodes succeed and falls to 0 as all do. See docs/rare_success.md."""
     impl: str = "auto"
     """Physics: "jax" or "warp" (MJX), "native" (C MuJoCo), or "auto": "native" on a CPU, "warp" on an NVIDIA GPU if
     installed."""

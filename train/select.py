@@ -166,7 +166,7 @@ def needs_noise(scores: SeedScores, with_noise: Sequence[float | None]) -> str:
     if not found:
         return ""
     return (
-        f'More often successful at the end of the training, with noise: {", ".join(found)}. See docs/seeds.md, "What seeds do '
+        f'More often successful at the end of the training, with noise: {", ".join(found)}. See docs/rare_success.md, "What seeds do '
         f'that fail"; --noise-ceiling 1 bounds the noise, smaller ceilings let it fall.'
     )
 

@@ -1,4 +1,4 @@
-"""Changes of each task to the base settings of PPO, determined on a GPU with several seeds each (docs/seeds.md, docs/sweeps.md)."""
+"""Changes of each task to the base settings of PPO, determined on a GPU with several seeds each (docs/training_notes.md, docs/rare_success.md, docs/sweeps.md)."""
 
 from __future__ import annotations
 

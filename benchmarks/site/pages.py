@@ -29,8 +29,19 @@ GUIDES = (
     "onnx",
     "care",
     "gentle_training",
+    "memory",
+    "rare_success",
 )
-RESULTS = ("benchmarks", "transfer", "seeds", "sweeps", "speed", "parity", "deviations")
+RESULTS = (
+    "benchmarks",
+    "transfer",
+    "seeds",
+    "training_notes",
+    "sweeps",
+    "speed",
+    "parity",
+    "deviations",
+)
 HELP = ("troubleshooting", "versions", "contributing")
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|!\[[^]]*\]\([^)]*\))*)\]\(([^)\s#:]+)(#[^)\s]*)?\)")
 

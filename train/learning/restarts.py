@@ -4,7 +4,7 @@ Where success is rare at first, a policy forgets how it came about before it hap
 episode has ended continue from a random moment of an episode that has just ended with success, with the person and everything
 else as they were then. What follows differs, because actions are random, so that more is seen of what leads to success, and the
 value function learns what it is worth to be on the way to it. The success rate of new episodes decides how many restarts there
-are: none once every one succeeds. What they achieve is in ``docs/seeds.md``.
+are: none once every one succeeds. What they achieve is in ``docs/rare_success.md``.
 
 That starting from promising states helps where rewards are sparse is known from demonstrations (Salimans and Chen 2018,
 "Learning Montezuma's Revenge from a Single Demonstration"; Nair et al. 2018) and from Go-Explore (Ecoffet et al. 2021,

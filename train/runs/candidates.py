@@ -29,7 +29,7 @@ def score(curve: Sequence[Row], total_steps: int, limited: bool = False) -> tupl
     """How good a training is at the end of its curve; larger is better.
 
     Success comes before return because what has the larger return is often what cannot be improved: a sleeve held beside the hand
-    (docs/seeds.md, "Candidates").
+    (docs/rare_success.md, "Candidates").
 
     Args:
         curve: its rows.

@@ -25,6 +25,7 @@ from agym_jax.errors import (
     PolicyEnvironmentError,
     PolicyLayoutError,
     PolicyNotFoundError,
+    UnknownNameError,
 )
 from agym_jax.flags import Count, plain
 from agym_jax.memory import MEMORY
@@ -65,6 +66,9 @@ class SelectConfig:
     by: Literal["auto", "success", "gentle", "both"] = "auto"
     """What the best seed has most of: successes, gentle successes, or the sum of both; "auto": gentle successes if the run had a
     --cost-limit, else successes."""
+    at_least: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    """What the task's own measures have to reach in the mean, such as held=0.9 in Dressing: seeds that do not are chosen only if
+    none does."""
     default_settings: bool = False
     """Evaluate in the environment with its default settings, regardless of those of the training except its memory, and mark the
     chosen policy as meant for it. For runs that were trained with more varied people or robots than the environment has."""
@@ -139,6 +143,28 @@ def check(config: SelectConfig) -> None:
         raise ConfigError(f"num_episodes must be at least 1, got {config.num_episodes}.")
 
 
+def limits(config: SelectConfig, env: Any) -> dict[str, float]:
+    """Return ``--at-least`` as measure -> value.
+
+    Raises:
+        ConfigError: if an entry is not of the form NAME=VALUE.
+        UnknownNameError: if the task does not have the measure.
+    """
+    known = [x.name for x in getattr(getattr(env, "task", None), "measures", ())]
+    found = {}
+    for text in config.at_least:
+        name, _, value = text.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise ConfigError(
+                f"--at-least takes NAME=VALUE, such as held=0.9; got {text!r}."
+            ) from None
+        if name not in known:
+            raise UnknownNameError(f"measure of {env.name}", name, known)
+    return found
+
+
 def select(
     evaluator: Evaluator, policies: dict[int, AnyPolicy], config: SelectConfig
 ) -> tuple[SeedScores, EvaluationResult]:
@@ -146,7 +172,8 @@ def select(
     usual = "gentle" if had_limit(Path(config.run)) else "success"
     by = usual if config.by == "auto" else config.by
     key = jax.random.PRNGKey(config.seed)
-    scores = score_seeds(evaluator, policies, key, by=by, report=say)
+    at_least = limits(config, evaluator.env)
+    scores = score_seeds(evaluator, policies, key, by=by, report=say, at_least=at_least)
     return scores, evaluator(policies[scores.best], jax.random.PRNGKey(config.report_seed))
 
 
@@ -235,6 +262,8 @@ def main(
     print(scores.table())
     if not trained_with and (needs := needs_noise(scores, with_noise)):  # else other people
         print(needs)
+    if not scores.fulfils(scores.best):
+        print(f"No seed reaches {', '.join(config.at_least)}; the best of all is chosen.")
     print(f"Chosen: seed {scores.best}, now {run / FILE_NAMES['robot']}. On other people:")
     print(reported.table())
     if ships or unfit:

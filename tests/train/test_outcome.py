@@ -22,6 +22,8 @@ from train.evaluation.people import People, by_group, people_in, worst
 from train.evaluation.score import EvaluationResult
 from train.evaluation.seed_scores import SeedScores
 
+HELD = Measure("held", "1", "share of episodes in which the gripper still holds the gown")
+
 
 @dataclass
 class Counting(FakeEnv):
@@ -124,9 +126,8 @@ def test_the_table_of_seeds_says_whom_each_helps_least():
 
 
 def test_the_table_of_seeds_says_how_episodes_end():
-    held = Measure("held", "1", "share of episodes in which the gripper still holds the gown")
     values = {"held": np.arange(100) < 2}
-    end = Outcome((held,), values, np.full(100, np.nan))
+    end = Outcome((HELD,), values, np.full(100, np.nan))
     done, nobody = np.ones(100, bool), np.zeros(100, bool)
     result = EvaluationResult("X-v0", *np.zeros((2, 100)), done, nobody, 0, 1.0, outcome=end)
     other = EvaluationResult("X-v0", *np.zeros((2, 100)), done, nobody, 0, 1.0)
@@ -135,6 +136,24 @@ def test_the_table_of_seeds_says_how_episodes_end():
     assert "held" not in scores.table().splitlines()[2]
     assert [x and x["task/held"] for x in scores.summary()["outcome_of_seeds"]] == [0.02, None]
     assert "outcome_of_seeds" not in SeedScores({2: other}).summary()
+
+
+def test_a_seed_that_misses_a_measure_is_chosen_only_if_all_do():
+    def result(held, successes):
+        end = Outcome((HELD,), {"held": np.arange(100) < held}, np.full(100, np.nan))
+        done = np.arange(100) < successes
+        return EvaluationResult(
+            "X-v0", *np.zeros((2, 100)), done, np.zeros(100, bool), 0, 1.0, outcome=end
+        )
+
+    results = {1: result(2, 99), 2: result(95, 90), 3: result(91, 92)}
+    assert SeedScores(results).best == 1
+    scores = SeedScores(results, at_least={"held": 0.9})
+    assert scores.best == 3 and scores.worst == 2 and scores.summary()["at_least"] == {"held": 0.9}
+    assert [scores.fulfils(seed) for seed in results] == [False, True, True]
+    none = SeedScores(results, at_least={"held": 0.99})
+    assert none.best == 1 and not none.fulfils(1)
+    assert "at_least" not in SeedScores(results).summary()
 
 
 def test_who_has_no_joint_that_moves_does_not_tremble():

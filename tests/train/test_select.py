@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -13,9 +14,12 @@ import pytest
 from fake_env import FakeEnv
 from fake_press_env import FakePressEnv
 
+from agym_jax.errors import UnknownNameError
 from agym_jax.policy.policy import read_policy, save_policy
+from agym_jax.spec import Measure
 from train import compare, select
 from train.configs import PPOConfig
+from train.errors import ConfigError
 from train.evaluation.gentleness import Gentleness
 from train.evaluation.score import EvaluationResult
 from train.evaluation.seed_scores import SeedScores
@@ -95,6 +99,20 @@ def test_a_seed_that_needs_noise_is_named(tmp_path):
     assert "seed 5 (90.0%, mode 25.0%)." in told and "seed 6" not in told
     assert select.needs_noise(scores([1, 1, 1, 1]), [0.95]) == ""
     assert select.needs_noise(scores([1, 0, 0, 0]), [0.5]) == ""  # four episodes do not tell
+
+
+def test_what_measures_have_to_reach_is_checked_before_anything_runs():
+    held = SimpleNamespace(measures=(Measure("held", "1", "share of episodes"),))
+    env = SimpleNamespace(name="DressingJaco-v0", task=held)
+    asked = lambda *texts: select.limits(select.SelectConfig("run", at_least=texts), env)  # noqa: E731
+    assert asked("held=0.9") == {"held": 0.9} and asked() == {}
+    with pytest.raises(UnknownNameError, match=r"hold.*held"):
+        asked("hold=0.9")
+    for text in ("held", "held=much"):
+        with pytest.raises(ConfigError, match="NAME=VALUE"):
+            asked(text)
+    with pytest.raises(UnknownNameError):  # a task without measures
+        select.limits(select.SelectConfig("run", at_least=("held=1",)), FakeEnv())
 
 
 @pytest.mark.slow

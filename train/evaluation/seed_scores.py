@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import jax
 import numpy as np
 
+from agym_jax.metrics import TASK_PREFIX
 from agym_jax.policy.agents import AnyPolicy
 
 from .evaluator import Evaluator
@@ -26,10 +27,12 @@ class SeedScores:
         results: seed -> its evaluation, on the same episodes.
         by: what seeds are ranked by: success, gentle success, or the sum of both; if gentle success is not measured, by
             success.
+        at_least: measure of the task -> what its mean over the episodes has to be; seeds that miss one rank behind all others.
     """
 
     results: Mapping[int, EvaluationResult]
     by: Measure = "success"
+    at_least: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def successes(self) -> np.ndarray:
@@ -43,13 +46,19 @@ class SeedScores:
 
     @property
     def best(self) -> int:
-        """The first seed by this measure; ties are broken by success, then by the return."""
-        return max(self.results, key=self._rank)
+        """The first seed by this measure, among those that fulfil ``at_least``; ties are broken by success, then by the return."""
+        return max(self.results, key=lambda seed: (self.fulfils(seed), self._rank(seed)))
 
     @property
     def worst(self) -> int:
         """The last seed by this measure; ties are broken by success, then by the return."""
         return min(self.results, key=self._rank)
+
+    def fulfils(self, seed: int) -> bool:
+        """Return whether the measures of a seed are as large as ``at_least`` asks; False if they are not measured."""
+        outcome = self.results[seed].outcome
+        means = outcome.summary() if outcome else {}
+        return all(means.get(TASK_PREFIX + x, -np.inf) >= low for x, low in self.at_least.items())
 
     def _rank(self, seed: int) -> tuple[float, float, float]:
         found = self.results[seed]
@@ -108,6 +117,7 @@ class SeedScores:
             "return_iqm": iqm(self.returns.mean(1)),
             "return_iqm_low": returns[0],
             "return_iqm_high": returns[1],
+            **({"at_least": dict(self.at_least)} if self.at_least else {}),
             "worst": self.worst,
             "best": self.best,
             "nan_episodes": sum(int(x.nan.sum()) for x in self.results.values()),
@@ -122,6 +132,7 @@ def score_seeds(
     deterministic: bool = True,
     by: Measure = "success",
     report: Callable[[str], None] | None = None,
+    at_least: Mapping[str, float] | None = None,
 ) -> SeedScores:
     """Run the same episodes with the policy of each seed.
 
@@ -132,6 +143,7 @@ def score_seeds(
         deterministic: act by the mode of the policies' distributions.
         by: what seeds are ranked by.
         report: called with the success of each seed in words, as soon as it is known.
+        at_least: as in ``SeedScores``.
     """
     results: dict[int, EvaluationResult] = {}
     for seed, policy in policies.items():
@@ -142,7 +154,7 @@ def score_seeds(
             report(
                 f"{len(results)} of {len(policies)}: seed {seed} succeeds in {found.success:.1%}{gentle}{more}"
             )
-    return SeedScores(results, by)
+    return SeedScores(results, by, at_least or {})
 
 
 def _least(result: EvaluationResult, before: str) -> str:

@@ -34,7 +34,7 @@ from agym_jax.matter.cloth import sleeve
 from agym_jax.matter.cloth import solver as fabrics
 from agym_jax.matter.cloth.garment import GOWN, Garment, load
 from agym_jax.matter.cloth.hang import drawn_swing, settle, swung
-from agym_jax.matter.cloth.obstacles import obstacles, on_limbs, tapering
+from agym_jax.matter.cloth.obstacles import ag_grid, obstacles, on_limbs
 from agym_jax.matter.cloth.solver import Cloth, ClothContact
 from agym_jax.matter.cloth.starts import Starts, load_starts
 from agym_jax.matter.cloth.topology import GOWN_FABRIC, ClothSpec, Fabric, build_cloth
@@ -279,22 +279,22 @@ class Dressing:
         limbs = (*TOUCHABLE, *BELOW)
         tapers = self.config.tapered_arms > 0.0
         a, b, radius = obstacles(sensed.dims, limbs, motion.link_pos_w, motion.link_rot_w, tapers)
-        taper, thickness = None, self.spec.fabric.thickness
-        if tapers:
-            radius, taper = tapering(limbs, a[0], b[0], radius, thickness, state.tapered)
 
         def one(carry: tuple, moment: tuple) -> tuple[tuple, ClothContact]:
             cloth, slid = carry
-            (a0, b0, hand0), (a1, b1, hand1) = moment
+            (a0, b0, hand0, _), (a1, b1, hand1, turned) = moment
+            grid = ag_grid(limbs, turned, state.tapered) if tapers else None
             cloth, touch = fabrics.step(
                 self.spec, cloth, Capsules(a0, b0, radius), Capsules(a1, b1, radius),
                 held_at(self.spec, hand0 + slid), held_at(self.spec, hand1 + slid),
-                self.control.time_step, fabrics.in_hand(slid), FLOOR, taper,
+                self.control.time_step, fabrics.in_hand(slid), FLOOR, grid,
             )  # fmt: skip
             return (cloth, fabrics.slip(slid, touch, self.control.time_step)), touch
 
-        way = a, b, motion.tool_pos_w
-        moments = tuple(x[:-1] for x in way), tuple(x[1:] for x in way)
+        way = a, b, motion.tool_pos_w, {x: motion.link_rot_w[x] for x in ARM_LINKS}
+        moments = tuple(
+            jax.tree.map(lambda x, part=part: x[part], way) for part in (slice(-1), slice(1, None))
+        )
         (cloth, slid), touch = jax.lax.scan(one, (state.cloth, state.slid), moments)
         return replace(state, cloth=cloth, slid=slid), touch
 

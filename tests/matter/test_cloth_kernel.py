@@ -12,9 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cloth_scene import DT, sheet
+from scipy.spatial.transform import Rotation
 
 from agym_jax.matter.cloth import solver as fabrics
 from agym_jax.matter.cloth.garment import load
+from agym_jax.matter.cloth.grid import Grid
 from agym_jax.matter.cloth.kernel import kernel
 from agym_jax.matter.cloth.solver import Cloth, anchor_positions, initial, step
 from agym_jax.matter.cloth.topology import ClothSpec, Fabric, build_cloth
@@ -22,8 +24,9 @@ from agym_jax.matter.shapes import Capsules
 
 NUM_ENVS = 3
 FLOOR = -0.3
-TAPER = jnp.array([0.04, 0.01])
-"""More than the radius, and less [m]."""
+GRID = Grid(
+    jnp.asarray(Rotation.random(2, random_state=0).as_matrix(), jnp.float32), jnp.float32(1), (0, 1)
+)
 
 
 def small() -> ClothSpec:
@@ -45,40 +48,40 @@ def batch(spec: ClothSpec) -> tuple[Cloth, Capsules, Capsules, jax.Array]:
     return Cloth(pos, jnp.asarray(speed)), start, end, jnp.array([True, False, True])
 
 
-def stepped(spec: ClothSpec, steps: int, taper: jax.Array | None = None) -> Callable:
+def stepped(spec: ClothSpec, steps: int, grid: Grid | None = None) -> Callable:
     """A function of ``batch`` that returns the cloth, and the contacts of each of some physics steps."""
     at = anchor_positions(spec, jnp.zeros(3))
 
     def run(cloth: Cloth, start: Capsules, end: Capsules, held: jax.Array) -> tuple:
-        one = lambda c, _: step(spec, c, start, end, at, at + 0.002, DT, held, FLOOR, taper)  # noqa: E731
+        one = lambda c, _: step(spec, c, start, end, at, at + 0.002, DT, held, FLOOR, grid)  # noqa: E731
         return jax.lax.scan(one, cloth, length=steps)
 
     return jax.vmap(run)
 
 
-@pytest.mark.parametrize(("whole", "taper"), [(False, None), (False, TAPER), (True, None)])
-def test_kernel_equals_xla(monkeypatch: pytest.MonkeyPatch, whole: bool, taper: jax.Array | None):
+@pytest.mark.parametrize(("whole", "grid"), [(False, None), (False, GRID), (True, None)])
+def test_kernel_equals_xla(monkeypatch: pytest.MonkeyPatch, whole: bool, grid: Grid | None):
     spec = build_cloth(load()) if whole else small()
     given = batch(spec)
-    expected = jax.jit(stepped(spec, 1 if whole else 4, taper))(*given)
+    expected = jax.jit(stepped(spec, 1 if whole else 4, grid))(*given)
     monkeypatch.setattr(fabrics, "advance", partial(kernel, interpret=True))
-    made = jax.jit(stepped(spec, 1 if whole else 4, taper))(*given)
+    made = jax.jit(stepped(spec, 1 if whole else 4, grid))(*given)
     cloth, touch = expected
-    assert touch.total.sum() > (1.0 if taper is None else 0.5) and not touch.broken.any()
+    assert touch.total.sum() > (1.0 if grid is None else 0.5) and not touch.broken.any()
     assert np.abs(cloth.pos_w - given[0].pos_w).max() > 1e-3
     for a, b in zip(jax.tree.leaves(made), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3)
     np.testing.assert_allclose(made[0].pos_w, cloth.pos_w, atol=2e-6)
 
 
-def test_a_taper_of_nothing_changes_nothing():
+def test_a_grid_that_is_off_changes_nothing():
     spec = small()
-    plain, untapered, tapered = (
-        jax.jit(stepped(spec, 2, taper))(*batch(spec))[1].total.sum(-1)
-        for taper in (None, jnp.zeros(2), TAPER)
+    plain, off, on = (
+        jax.jit(stepped(spec, 2, grid))(*batch(spec))[1].total.sum(-1)
+        for grid in (None, replace(GRID, on=jnp.float32(0)), GRID)
     )
-    np.testing.assert_allclose(untapered, plain, rtol=1e-4)
-    assert (tapered < 0.9 * plain).any()
+    np.testing.assert_allclose(off, plain, rtol=1e-4)
+    assert (abs(on - plain) > 0.1).any()
 
 
 def test_kernel_holds_the_anchors_by_default(monkeypatch: pytest.MonkeyPatch):
@@ -104,11 +107,11 @@ def test_non_finite_solid_marks_the_cloth_as_broken(
     assert touch.broken and np.isfinite(after.pos_w).all() and not touch.total.any()
 
 
-@pytest.mark.parametrize("taper", [None, TAPER])
-def test_physics_step_is_one_kernel_on_a_gpu(taper: jax.Array | None):
+@pytest.mark.parametrize("grid", [None, GRID])
+def test_physics_step_is_one_kernel_on_a_gpu(grid: Grid | None):
     spec = build_cloth(load())
     lowered = (
-        jax.jit(stepped(spec, 1, taper)).trace(*batch(spec)).lower(lowering_platforms=("cuda",))
+        jax.jit(stepped(spec, 1, grid)).trace(*batch(spec)).lower(lowering_platforms=("cuda",))
     )
     assert lowered.as_text().count("__gpu$xla.gpu.triton") == 1
 

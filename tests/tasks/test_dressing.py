@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -21,16 +20,7 @@ from agym_jax import observe
 from agym_jax.errors import SpecError
 from agym_jax.human.anthropometry import dims
 from agym_jax.matter.cloth import solver as fabrics
-from agym_jax.matter.cloth.obstacles import (
-    AG_GRID,
-    AG_MARGIN,
-    CAPSULE,
-    ENDS,
-    SPHERE,
-    ag_taper,
-    obstacles,
-    on_limbs,
-)
+from agym_jax.matter.cloth.obstacles import obstacles, on_limbs
 from agym_jax.matter.cloth.sleeve import SleeveState
 from agym_jax.matter.cloth.solver import MAX_SLIP, ClothContact
 from agym_jax.robots import ROBOTS
@@ -184,17 +174,6 @@ def test_the_gown_is_drawn_as_a_surface():
     assert TASK.markers(start()) == []
 
 
-@pytest.mark.parametrize(("sex", "outside", "short"), [(0.0, 0.029, 0.06), (1.0, 0.035, 0.07)])
-def test_a_tapering_forearm_is_as_thin_as_assistive_gyms(sex, outside, short):
-    """As the engine's own grid has it: how far outside the end of the axis is, and where the surface meets the axis."""
-    d = dims(sex)
-    half = d.forearm_l / 2
-    taper = float(ag_taper(jnp.zeros((1, 3)), jnp.array([[0.0, 0.0, d.forearm_l]]))[0])
-    assert taper - d.forearm_r == pytest.approx(outside, abs=0.002)
-    assert half * (1 - d.forearm_r / taper) == pytest.approx(short, abs=0.006)
-    assert ag_taper(jnp.zeros((1, 3)), jnp.zeros((1, 3)))[0] == 0  # a sphere does not taper
-
-
 def test_arms_taper_in_a_share_of_the_episodes():
     assert TASK.config.tapered_arms == 0 and start().tapered == 0
     some = replace(TASK, config=Config(tapered_arms=0.25))
@@ -205,12 +184,12 @@ def test_arms_taper_in_a_share_of_the_episodes():
         Config(tapered_arms=1.5)
 
 
-def test_upper_arm_and_forearm_taper_and_nothing_else(monkeypatch):
+def test_the_grid_is_for_the_arm_and_nothing_else(monkeypatch):
     some, given = replace(TASK, config=Config(tapered_arms=0.5)), []
     nothing = jnp.zeros(3)
 
     def step(spec, cloth, before, after, *others):
-        given.append((np.linalg.norm(after.b_w - after.a_w, axis=1), others[-1]))
+        given.append((after, others[-1]))
         still = ClothContact(jnp.zeros((1, 3)), jnp.zeros(1), nothing, jnp.float32(1), False)
         return cloth, still
 
@@ -219,43 +198,15 @@ def test_upper_arm_and_forearm_taper_and_nothing_else(monkeypatch):
         for tapered in (0.0, 1.0):
             some._move(replace(start(), tapered=jnp.float32(tapered)), seen())
         TASK._move(start(), seen())
-    (_, none), (lengths, taper), (_, left_out) = given[0], given[10], given[20]
-    assert len(given) == 30 and left_out is None and not none.any()
-    half = lengths[:2] / 2  # upper arm, forearm
-    np.testing.assert_allclose(taper[:2], ENDS * half * (1 - half / 0.25), rtol=1e-5)
-    assert half.min() > 0.1 and not taper[2:].any()
-
-
-def from_grid(points, half, radius):
-    """AG's distance of points (n, 3) from a capsule along z: linear between points of a grid around its middle."""
-    share, found = np.abs(points) / AG_GRID, 0.0
-    for corner in itertools.product((0, 1), repeat=3):
-        x, y, z = AG_GRID * np.array(corner)
-        distance = np.hypot(np.hypot(x, y), max(z - half, 0.0)) - radius
-        found += np.where(corner, share, 1 - share).prod(-1) * distance
-    return found
-
-
-@pytest.mark.parametrize("sex", [0.0, 1.0])
-def test_a_tapering_arm_is_as_thick_as_assistive_gyms_grid_makes_it_in_the_mean(sex):
-    d, along = dims(sex), np.linspace(0.0, 0.12, 1201)
-
-    def mean(ways, half, radius, at=0.0):
-        """Over directions (n, 3): how far from a point of the axis the cloth stays [m]."""
-        points = ways[:, None] * along[:, None] + (0.0, 0.0, at)
-        return along[(from_grid(points, half, radius) < AG_MARGIN).sum(1)].mean()
-
-    angle = np.linspace(0, 2 * np.pi, 100, endpoint=False)
-    around = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
-    every = np.random.default_rng(0).normal(size=(500, 3))
-    every /= np.linalg.norm(every, axis=1, keepdims=True)
-    radius, half = float(d.forearm_r), float(d.forearm_l) / 2
-    middle, end = mean(around, half, radius), mean(around, half, radius, half)
-    assert pytest.approx(middle, abs=0.001) == CAPSULE * (radius + AG_MARGIN)
-    taper = float(ag_taper(jnp.zeros((1, 3)), jnp.array([[0.0, 0.0, d.forearm_l]]))[0])
-    assert middle - end == pytest.approx(ENDS * taper, abs=0.002)
-    for radius in (float(d.forearm_r), float(d.upper_arm_r)):
-        assert pytest.approx(mean(every, 0.0, radius), abs=0.001) == SPHERE * (radius + AG_MARGIN)
+    (_, off), (solids, on), (_, left_out) = given[0], given[10], given[20]
+    assert len(given) == 30 and left_out is None and (off.on, on.on) == (0.0, 1.0)
+    count = len(solids.radius)
+    assert on.which == (0, 1, 2, *range(count - 3, count)) and on.rot_w.shape == (count, 3, 3)
+    along = solids.b_w - solids.a_w  # upper arm and forearm are along z of their grids
+    for limb in (0, 1):
+        unit = along[limb] / jnp.linalg.norm(along[limb])
+        np.testing.assert_allclose(abs(on.rot_w[limb, :, 2] @ unit), 1.0, atol=1e-5)
+    np.testing.assert_allclose(on.rot_w[count - 3 :], on.rot_w[:3])  # joints turn with the limbs
 
 
 def test_spheres_are_at_the_joints_of_the_arm_and_press_on_its_limbs():

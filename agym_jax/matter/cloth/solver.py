@@ -32,7 +32,9 @@ import numpy as np
 from jax import Array
 from jax.lax import rsqrt
 
+from agym_jax.matter.cloth.grid import Grid
 from agym_jax.matter.cloth.kernel import InArrays, Publish, Rows, State, advance
+from agym_jax.matter.cloth.nearest import Solids, Trajectory, nearest, trajectory, vectors
 from agym_jax.matter.cloth.topology import ClothSpec, PairTable, Tables, tables
 from agym_jax.matter.shapes import (
     TINY,
@@ -107,7 +109,7 @@ def anchor_positions(spec: ClothSpec, pos_w: Array, rot_w: Array | None = None) 
 
 def step(
     spec: ClothSpec, cloth: Cloth, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array, dt: float,
-    held: Array | None = None, floor: float | None = None, taper: Array | None = None,
+    held: Array | None = None, floor: float | None = None, grid: Grid | None = None,
 ) -> tuple[Cloth, ClothContact]:  # fmt: skip
     """Advance by one physics step, while solids and anchors move along straight lines.
 
@@ -121,16 +123,16 @@ def step(
         dt: length of the step [s].
         held: whether the anchors hold the cloth, () bool; they do if left out.
         floor: height of the floor [m]; there is none if left out.
-        taper: how much thinner each capsule is at its ends than in the middle [m] (k,), linear in between; where that
-            is more than its radius and the cloth's thickness, nothing is there. Capsules do not taper if left out.
+        grid: which capsules the cloth finds as AG's does; none if left out.
 
     Returns:
         cloth, and its contact forces. A vertex counts for the solid that it touched last.
     """
     h, vel_before = dt / spec.substeps, cloth.vel_w
     mass = jnp.asarray(spec.mass, jnp.float32)
-    substep = partial(_substep, spec, h, len(end.radius), floor)
-    path = _trajectory(spec.substeps, start, end, anchors_start, anchors_end, taper)
+    solids = Solids(len(end.radius), grid.which if grid else (), spec.fabric.thickness, floor)
+    substep = partial(_substep, spec, h, solids)
+    path = trajectory(spec.substeps, start, end, anchors_start, anchors_end, grid)
     *after, pushed, touched = advance(
         substep, tables(spec, h), cloth.pos_w, cloth.vel_w, path, held
     )
@@ -172,7 +174,7 @@ def _grip(spec: ClothSpec, before: Array, after: Array, net_w: Array, dt: float)
 def _stretch(spec: ClothSpec, pos_w: Array) -> Array:
     """Greatest ratio of an edge's length to that at rest ()."""
     edges, pos = spec.edges, columns(pos_w)
-    rows = [sub(_vectors(InArrays(pos), at), pos) for at in edges.partner]
+    rows = [sub(vectors(InArrays(pos), at), pos) for at in edges.partner]
     squared = jnp.stack([dot(off, off) for off in rows])
     return jnp.sqrt(jnp.max(squared * jnp.asarray((edges.active / edges.rest) ** 2, jnp.float32)))
 
@@ -207,66 +209,19 @@ def _finite(x: Array) -> Array:
     return jnp.where(jnp.isfinite(x), x, 0.0)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class _Trajectory:
-    """Anchors and solids in each of s substeps. In the physics the fields are ``Rows`` of one substep."""
-
-    anchors: Array  # positions at the substep's end, world [m]             (s, 3, a)
-    a: Array  # one end of each capsule at the substep's end, world [m]     (s, 3, k)
-    axis: Array  # from there to the other end [m]                          (s, 3, k)
-    moved: Array  # displacement of the one end in the substep [m]          (s, 3, k)
-    turned: Array  # displacement of the other end, relative to that [m]    (s, 3, k)
-    inverse: Array  # 1 / squared length [1/m^2]                            (s, 1, k)
-    radius: Array  # [m]                                                    (s, 1, k)
-    taper: Array | None  # how much thinner it is at its ends [m]           (s, 1, k)
-
-
-def _trajectory(
-    substeps: int, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array, taper: Array | None,
-) -> _Trajectory:  # fmt: skip
-    """Straight lines, divided into substeps."""
-    share = jnp.arange(substeps + 1)[:, None, None] / substeps
-
-    def between(a: Array, b: Array) -> Array:
-        return a.T + share * (b - a).T
-
-    def always(x: Array) -> Array:
-        return jnp.broadcast_to(x, (substeps, 1, len(x)))
-
-    a, b = between(start.a_w, end.a_w), between(start.b_w, end.b_w)
-    axis = b - a
-    squared = jnp.maximum(jnp.sum(axis**2, 1, keepdims=True), TINY)
-    return _Trajectory(
-        anchors=between(anchors_start, anchors_end)[1:],
-        a=a[1:],
-        axis=axis[1:],
-        moved=a[1:] - a[:-1],
-        turned=axis[1:] - axis[:-1],
-        inverse=1.0 / squared[1:],
-        radius=always(end.radius),
-        taper=None if taper is None else always(taper),
-    )
-
-
 def _substep(
-    spec: ClothSpec, h: float, solids: int, floor: float | None, tables: Tables, now: _Trajectory, publish: Publish, state: State,
+    spec: ClothSpec, h: float, solids: Solids, tables: Tables, now: Trajectory, publish: Publish, state: State,
 ) -> State:  # fmt: skip
-    """The state after h [s], among a number of capsules."""
+    """The state after h [s]."""
     pos, vel, pushed, touched = state
     free, tether = tables.free[0], tables.tether[0]
-    anchor = _vectors(now.anchors, tether)
+    anchor = vectors(now.anchors, tether)
     fallen = map_xyz(partial(jnp.where, free > 0), _fall(spec, pos, vel, h), anchor)
     moved = _relax(spec, tables, publish, fallen, anchor)
-    push, recovery, which = _contacts(spec, free, moved, pos, now, solids, floor)
+    push, recovery, which = _contacts(spec, free, moved, pos, now, solids)
     after = add(moved, push)
     vel = scale((1.0 - spec.fabric.damping * h) / h, sub(after, pos))
     return add(after, recovery), vel, add(pushed, push), jnp.where(which >= 0, which, touched)
-
-
-def _vectors(rows: Rows, at: int | Array) -> Xyz:
-    """Vectors at some columns of the rows x, y and z."""
-    return rows[0, at], rows[1, at], rows[2, at]
 
 
 def _fall(spec: ClothSpec, pos: Xyz, vel: Xyz, h: float) -> Xyz:
@@ -291,14 +246,14 @@ def _relax(spec: ClothSpec, tables: Tables, publish: Publish, pos: Xyz, anchor: 
 
 def _correction(pairs: PairTable, row: int, pos: Xyz, others: Rows) -> Xyz:
     """Correction of each vertex by one row of distance constraints [m], each (n,)."""
-    off = sub(_vectors(others, pairs.partner[row]), pos)
+    off = sub(vectors(others, pairs.partner[row]), pos)
     inverse_length = rsqrt(jnp.maximum(dot(off, off), TINY))
     return scale(pairs.share[row] * (1.0 - pairs.rest[row] * inverse_length), off)
 
 
 def _contacts(
-    spec: ClothSpec, free: Array, pos: Xyz, start: Xyz, now: _Trajectory, solids: int, floor: float | None,
-) -> tuple[Xyz, Xyz, Array]:  # fmt: skip
+    spec: ClothSpec, free: Array, pos: Xyz, start: Xyz, now: Trajectory, solids: Solids
+) -> tuple[Xyz, Xyz, Array]:
     """Contacts of free vertices with their nearest solids.
 
     Returns:
@@ -306,7 +261,7 @@ def _contacts(
         recovery: displacement that removes a share of an earlier penetration, without force [m].
         which: index of the solid, -1 for none (n,).
     """
-    which, dist, normal, carried = _nearest(pos, now, solids, floor)
+    which, dist, normal, carried = nearest(pos, now, solids)
     went = sub(sub(pos, start), carried)
     inwards = dot(went, normal)
     overlap = free * jnp.maximum(spec.fabric.thickness - dist, 0.0)
@@ -317,55 +272,3 @@ def _contacts(
     )
     push = sub(scale(depth, normal), scale(undo, slid))
     return push, scale(RECOVERY_SHARE * (overlap - depth), normal), jnp.where(depth > 0, which, -1)
-
-
-def _nearest(
-    pos: Xyz, now: _Trajectory, solids: int, floor: float | None
-) -> tuple[Array, Array, Xyz, Xyz]:
-    """Nearest solid of each vertex: index, distance [m], normal, displacement of its surface [m]; each (n,).
-
-    The floor's index is the number of capsules.
-    """
-    zero = scale(jnp.float32(0.0), pos)
-    which, dist = jnp.full_like(pos[0], solids, jnp.int32), jnp.full_like(pos[0], jnp.inf)
-    normal = carried = zero
-    if solids:
-        which, dist, normal, carried = _nearest_capsule(pos, now, solids)
-    if floor is not None:
-        above = pos[2] - floor
-        lower = above < dist
-        which, dist = jnp.where(lower, solids, which), jnp.minimum(above, dist)
-        x, y, z = (jnp.where(lower, 0.0, n) for n in normal)
-        normal = x, y, jnp.where(lower, 1.0, z)
-        carried = map_xyz(lambda c: jnp.where(lower, 0.0, c), carried)
-    return which, dist, normal, carried
-
-
-def _nearest_capsule(pos: Xyz, now: _Trajectory, count: int) -> tuple[Array, Array, Xyz, Xyz]:
-    """``_nearest`` among capsules. Only distances are computed for all; the rest again for the nearest one."""
-
-    def offset(k: int | Array) -> tuple[Array, Xyz]:
-        """Nearest point of a capsule's axis, in 0..1 from end a, and the vector from there [m]."""
-        from_a, axis = sub(pos, _vectors(now.a, k)), _vectors(now.axis, k)
-        share = jnp.clip(dot(from_a, axis) * now.inverse[0, k], 0.0, 1.0)
-        return share, sub(from_a, scale(share, axis))
-
-    def radius(k: int | Array, share: Array) -> Array:
-        """Of a capsule, at a point of its axis [m]."""
-        middle = now.radius[0, k]
-        if now.taper is None:
-            return middle
-        return middle - now.taper[0, k] * jnp.abs(2.0 * share - 1.0)
-
-    which, least = jnp.zeros_like(pos[0], jnp.int32), jnp.full_like(pos[0], jnp.inf)
-    for k in range(count):
-        share, off = offset(k)
-        dist = length(off) - radius(k, share)
-        nearer = (dist < least) | jnp.isnan(
-            dist
-        )  # a solid that is not finite makes the cloth non-finite
-        which, least = jnp.where(nearer, k, which), jnp.minimum(dist, least)
-    share, off = offset(which)
-    gap = length(off)
-    carried = add(_vectors(now.moved, which), scale(share, _vectors(now.turned, which)))
-    return which, gap - radius(which, share), scale(1.0 / gap, off), carried

@@ -1,0 +1,143 @@
+"""The nearest solid of each vertex of the cloth: capsules that move, of which some may be found as AG's cloth does, and the floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.lax import rsqrt
+
+from agym_jax.matter.cloth.grid import MARGIN, Grid, interpolated
+from agym_jax.matter.cloth.kernel import Rows
+from agym_jax.matter.shapes import TINY, Capsules, Xyz, add, dot, length, map_xyz, scale, sub
+
+
+@dataclass(frozen=True)
+class Solids:
+    """What is known of the solids when a program is compiled."""
+
+    count: int  # of capsules
+    gridded: tuple[int, ...]  # those that may be found by a grid
+    thickness: float  # of the cloth, which stays so far away [m]
+    floor: float | None  # its height [m]; None: there is none
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Trajectory:
+    """Anchors and solids in each of s substeps. In the physics the fields are ``Rows`` of one substep."""
+
+    anchors: Array  # positions at the substep's end, world [m]             (s, 3, a)
+    a: Array  # one end of each capsule at the substep's end, world [m]     (s, 3, k)
+    axis: Array  # from there to the other end [m]                          (s, 3, k)
+    moved: Array  # displacement of the one end in the substep [m]          (s, 3, k)
+    turned: Array  # displacement of the other end, relative to that [m]    (s, 3, k)
+    inverse: Array  # 1 / squared length [1/m^2]                            (s, 1, k)
+    radius: Array  # [m]                                                    (s, 1, k)
+    grid: Array | None  # axes x, y and z of its grid, world                (s, 9, k)
+    on: Array | None  # whether it is found by the grid, 0 or 1             (s, 1, k)
+
+
+def trajectory(
+    substeps: int, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array, grid: Grid | None,
+) -> Trajectory:  # fmt: skip
+    """Straight lines, divided into substeps; see ``solver.step``. The axes of the grids stay as they are."""
+    share = jnp.arange(substeps + 1)[:, None, None] / substeps
+
+    def between(a: Array, b: Array) -> Array:
+        return a.T + share * (b - a).T
+
+    def always(rows: Array) -> Array:
+        return jnp.broadcast_to(rows, (substeps, *rows.shape))
+
+    a, b = between(start.a_w, end.a_w), between(start.b_w, end.b_w)
+    axis, count = b - a, len(end.radius)
+    squared = jnp.maximum(jnp.sum(axis**2, 1, keepdims=True), TINY)
+    axes = on = None
+    if grid is not None:
+        axes = always(jnp.transpose(grid.rot_w, (2, 1, 0)).reshape(9, count))
+        some = jnp.array([[k in grid.which for k in range(count)]])
+        on = always(jnp.where(some, grid.on, 0.0))
+    return Trajectory(
+        anchors=between(anchors_start, anchors_end)[1:],
+        a=a[1:],
+        axis=axis[1:],
+        moved=a[1:] - a[:-1],
+        turned=axis[1:] - axis[:-1],
+        inverse=1.0 / squared[1:],
+        radius=always(end.radius[None]),
+        grid=axes,
+        on=on,
+    )
+
+
+def vectors(rows: Rows, at: int | Array, first: int = 0) -> Xyz:
+    """Return vectors at some columns of three rows, x, y and z."""
+    return rows[first, at], rows[first + 1, at], rows[first + 2, at]
+
+
+def nearest(pos: Xyz, now: Trajectory, solids: Solids) -> tuple[Array, Array, Xyz, Xyz]:
+    """Nearest solid of each vertex: index, distance [m], normal, displacement of its surface [m]; each (n,).
+
+    The floor's index is the number of capsules.
+    """
+    zero = scale(jnp.float32(0.0), pos)
+    which, dist = jnp.full_like(pos[0], solids.count, jnp.int32), jnp.full_like(pos[0], jnp.inf)
+    normal = carried = zero
+    if solids.count:
+        which, dist, normal, carried = _nearest_capsule(pos, now, solids)
+    if solids.floor is not None:
+        above = pos[2] - solids.floor
+        lower = above < dist
+        which, dist = jnp.where(lower, solids.count, which), jnp.minimum(above, dist)
+        x, y, z = (jnp.where(lower, 0.0, n) for n in normal)
+        normal = x, y, jnp.where(lower, 1.0, z)
+        carried = map_xyz(lambda c: jnp.where(lower, 0.0, c), carried)
+    return which, dist, normal, carried
+
+
+def _nearest_capsule(pos: Xyz, now: Trajectory, solids: Solids) -> tuple[Array, Array, Xyz, Xyz]:
+    """``nearest`` among capsules. Only distances are computed for all; the rest again for the nearest one."""
+
+    def offset(k: int | Array) -> tuple[Array, Xyz]:
+        """Nearest point of a capsule's axis, in 0..1 from end a, and the vector from there [m]."""
+        from_a, axis = sub(pos, vectors(now.a, k)), vectors(now.axis, k)
+        share = jnp.clip(dot(from_a, axis) * now.inverse[0, k], 0.0, 1.0)
+        return share, sub(from_a, scale(share, axis))
+
+    def surface(k: int | Array, off: Xyz, gridded: bool) -> tuple[Array, Xyz]:
+        """Distance from a capsule [m], and the normal there."""
+        gap = length(off)
+        dist, normal = gap - now.radius[0, k], scale(1.0 / gap, off)
+        if gridded:
+            there, steepest, known = _by_grid(pos, now, k)
+            there = there - now.radius[0, k] - (MARGIN - solids.thickness)
+            known = known & (now.on[0, k] > 0.5)
+            dist = jnp.where(known, there, dist)
+            x, y, z = (jnp.where(known, a, b) for a, b in zip(steepest, normal, strict=True))
+            normal = x, y, z
+        return dist, normal
+
+    which, least = jnp.zeros_like(pos[0], jnp.int32), jnp.full_like(pos[0], jnp.inf)
+    for k in range(solids.count):
+        dist, _ = surface(k, offset(k)[1], k in solids.gridded)
+        # a solid that is not finite makes the cloth non-finite
+        nearer = (dist < least) | jnp.isnan(dist)
+        which, least = jnp.where(nearer, k, which), jnp.minimum(dist, least)
+    share, off = offset(which)
+    dist, normal = surface(which, off, bool(solids.gridded))
+    carried = add(vectors(now.moved, which), scale(share, vectors(now.turned, which)))
+    return which, dist, normal, carried
+
+
+def _by_grid(pos: Xyz, now: Trajectory, k: int | Array) -> tuple[Array, Xyz, Array]:
+    """``grid.interpolated`` of vertices, with a direction in world axes."""
+    axes = [vectors(now.grid, k, 3 * i) for i in range(3)]
+    off = sub(pos, add(vectors(now.a, k), scale(jnp.float32(0.5), vectors(now.axis, k))))
+    x, y, z = (dot(off, axis) for axis in axes)
+    half = 0.5 * rsqrt(now.inverse[0, k])
+    dist, (x, y, z), known = interpolated((x, y, z), half)
+    steepest = add(add(scale(x, axes[0]), scale(y, axes[1])), scale(z, axes[2]))
+    return dist, steepest, known

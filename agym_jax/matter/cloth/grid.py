@@ -58,7 +58,8 @@ def interpolated(local: Xyz, half: Array) -> tuple[Array, Xyz, Array]:
         return low + (high - low) * w
 
     slopes = along(v), along(u), higher - level
-    slopes = tuple(jnp.where(x < 0.0, -s, s) for x, s in zip(local, slopes, strict=True))
+    x, y, z = (jnp.where(at < 0.0, -s, s) for at, s in zip(local, slopes, strict=True))
+    slopes = x, y, z
     steepest = scale(rsqrt(jnp.maximum(dot(slopes, slopes), TINY)), slopes)
     return level + (higher - level) * w, steepest, jnp.maximum(jnp.maximum(u, v), w) < 1.0
 

@@ -111,7 +111,7 @@ def _nearest_capsule(pos: Xyz, now: Trajectory, solids: Solids) -> tuple[Array, 
         """Distance from a capsule [m], and the normal there."""
         gap = length(off)
         dist, normal = gap - now.radius[0, k], scale(1.0 / gap, off)
-        if gridded:
+        if gridded and now.on is not None:
             there, steepest, known = _by_grid(pos, now, k)
             there = there - now.radius[0, k] - (MARGIN - solids.thickness)
             known = known & (now.on[0, k] > 0.5)
@@ -134,6 +134,7 @@ def _nearest_capsule(pos: Xyz, now: Trajectory, solids: Solids) -> tuple[Array, 
 
 def _by_grid(pos: Xyz, now: Trajectory, k: int | Array) -> tuple[Array, Xyz, Array]:
     """``grid.interpolated`` of vertices, with a direction in world axes."""
+    assert now.grid is not None
     axes = [vectors(now.grid, k, 3 * i) for i in range(3)]
     off = sub(pos, add(vectors(now.a, k), scale(jnp.float32(0.5), vectors(now.axis, k))))
     x, y, z = (dot(off, axis) for axis in axes)

@@ -11,7 +11,17 @@ import numpy as np
 
 from agym_jax.registry import parse
 from benchmarks.limit_curves import limit_in_words, lines_of
-from benchmarks.markdown import RESULTS, Line, former, grid, mark, percent, read_results, table
+from benchmarks.markdown import (
+    RESULTS,
+    Line,
+    former,
+    grid,
+    mark,
+    percent,
+    read_results,
+    several,
+    table,
+)
 from train.evaluation.outcome import in_words
 from train.evaluation.people import LEAST
 from train.evaluation.statistics import iqm
@@ -209,27 +219,25 @@ def rough(folder: Path = RESULTS) -> str:
     return table(lines, columns, by, f"{episodes} episodes, mode;")
 
 
-def tapered(folder: Path = RESULTS) -> str:
-    """Whom policies dress where the arm tapers as in Assistive Gym, and in Assistive Gym itself."""
-    keys = ("env", "policy_commit")
-    here = {(x["env"], x.get("policy_commit")): x for x in read_results("evaluation", keys, folder)}
-    runs = read_results("in_assistive_gym", ("env", "commit"), folder)
-    there = {(x["env"], x["commit"]): f"{x['successes']} of {x['episodes']}" for x in runs}
+def dressing_arms(folder: Path = RESULTS) -> str:
+    """Whom policies dress whose arm is as AG's cloth finds it, and in AG itself."""
 
-    def policy(x: Line) -> tuple[str, str]:
-        return x["env"], x["policy_commit"]
+    def sexes(x: Line) -> str:
+        rates = {group["name"]: group["success"] for group in x["groups"]}
+        return f"{rates['men']:.0%} and {rates['women']:.0%}"
 
     columns = {
         "environment": ORDER,
-        "episodes with such arms in training": lambda x: (
-            f"{x.get('policy_changes', {}).get('task.tapered_arms', 0.0):.0%}"
-        ),
-        "success": lambda x: f"{here[policy(x)]['success']:.0%}",
-        "with arms that taper": lambda x: f"{x['success']:.0%} of {x['episodes']}",
-        "of the arm's length in the sleeve at the end, then": lambda x: f"{x['task/covered']:.0%}",
-        "in Assistive Gym": lambda x: there.get(policy(x), ""),
+        "policy": lambda x: x["trial"],
+        "success": lambda x: f"{x['usual']:.0%}",
+        "arm as there": lambda x: f"{x['success']:.0%}",
+        "of men and women": sexes,
+        "in Assistive Gym": lambda x: f"{x['there'][0]} of {x['there'][1]}",
     }
-    return table(read_results("tapered", keys, folder, changed=True), columns, ORDER, "Mode;")
+    lines = read_results("dressing_arms", ("env", "trial"), folder, changed=True)
+    episodes = several(f"{x['episodes']}" for x in lines)
+    order = lambda x: (-x["there"][0] / x["there"][1], x["env"])  # noqa: E731
+    return table(lines, columns, order, f"{episodes} episodes with such arms; mode;")
 
 
 def _how_far(line: Line) -> str:

@@ -83,7 +83,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "glance": care_tables.glance,
     "everybody": care_tables.everybody,
     "shortfalls": care_tables.shortfalls,
-    "tapered": care_tables.tapered,
+    "dressing-arms": care_tables.dressing_arms,
     "care": care_tables.care,
     "rough": care_tables.rough,
 }

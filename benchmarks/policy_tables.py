@@ -214,7 +214,7 @@ def gentle(folder: Path = RESULTS) -> str:
         "largest multiplier": lambda x: f"{x.get('cost_multiplier_max', 2.0):g}",
         "margin": lambda x: f"{x.get('cost_margin') or 0:g}",
         "people": lambda x: x.get("trained_with", {}).get("humans.sizes", "ag"),
-        "begins with": lambda x: _begun(x.get("started_from")),
+        "begins with": lambda x: _begun(x),
         "seeds x steps": seeds_and_steps,
         "gentle success of each seed [%]": lambda x: seeds_in_percent(x["gentle_success_of_seeds"]),
         "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
@@ -227,10 +227,13 @@ def gentle(folder: Path = RESULTS) -> str:
     return _of_runs(read_results("gentle", by, folder), columns)
 
 
-def _begun(policy: str | None) -> str:
-    """What a training began with, by the policy that it was given."""
+def _begun(line: Line) -> str:
+    """What a training began with, by the policy that its robot was given."""
+    policy = line.get("started_from")
     if policy is None:
         return "a new policy"
+    if parse(line["env"]).active and policy == "shipped":
+        return "the robot's policy"
     return "the policy before" if policy == "shipped" else "one that did not ship"
 
 

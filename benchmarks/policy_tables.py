@@ -214,7 +214,7 @@ def gentle(folder: Path = RESULTS) -> str:
         "largest multiplier": lambda x: f"{x.get('cost_multiplier_max', 2.0):g}",
         "margin": lambda x: f"{x.get('cost_margin') or 0:g}",
         "people": lambda x: x.get("trained_with", {}).get("humans.sizes", "ag"),
-        "begins with": lambda x: _begun(x),
+        "begins with": _begun,
         "seeds x steps": seeds_and_steps,
         "gentle success of each seed [%]": lambda x: seeds_in_percent(x["gentle_success_of_seeds"]),
         "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
@@ -230,11 +230,9 @@ def gentle(folder: Path = RESULTS) -> str:
 def _begun(line: Line) -> str:
     """What a training began with, by the policy that its robot was given."""
     policy = line.get("started_from")
-    if policy is None:
-        return "a new policy"
-    if parse(line["env"]).active and policy == "shipped":
-        return "the robot's policy"
-    return "the policy before" if policy == "shipped" else "one that did not ship"
+    if policy != "shipped":
+        return "a new policy" if policy is None else "one that did not ship"
+    return "the robot's policy" if parse(line["env"]).active else "the policy before"
 
 
 def continued(folder: Path = RESULTS) -> str:

@@ -13,6 +13,7 @@ from agym_jax.errors import UnknownNameError, checked_count
 from agym_jax.flags import Count
 
 from ..configs import entry_of
+from ..entries import entries
 from ..errors import ConfigError, check_save_dir
 
 
@@ -74,26 +75,6 @@ def named(parts: Sequence[str], ids: Sequence[str], kind: str = "environment") -
             raise UnknownNameError(kind, part, ids)
     found = [name for part in parts or [""] for name in ids if part in name]
     return list(dict.fromkeys(found))
-
-
-def entries(option: str, texts: Sequence[str], needed: str) -> dict[str, str]:
-    """Read entries of the form NAME=VALUE.
-
-    Args:
-        option: that takes them, for the error message.
-        texts: entries.
-        needed: their form, with an example.
-
-    Raises:
-        ConfigError: if an entry is not of this form.
-    """
-    found = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        if not (name and value):
-            raise ConfigError(f"{option} takes {needed}; got {text!r}.")
-        found[name] = value
-    return found
 
 
 def steps_by_name(config: SuiteConfig) -> dict[str, str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import spearmanr
 
 from agym_jax.registry import parse
 from benchmarks.limit_curves import limit_in_words, lines_of
@@ -235,9 +236,13 @@ def dressing_arms(folder: Path = RESULTS) -> str:
         "in Assistive Gym": lambda x: f"{x['there'][0]} of {x['there'][1]}",
     }
     lines = read_results("dressing_arms", ("env", "trial"), folder, changed=True)
-    episodes = several(f"{x['episodes']}" for x in lines)
-    order = lambda x: (-x["there"][0] / x["there"][1], x["env"])  # noqa: E731
-    return table(lines, columns, order, f"{episodes} episodes with such arms; mode;")
+    there = [x["there"][0] / x["there"][1] for x in lines]
+    close, usual = (spearmanr([x[name] for x in lines], there)[0] for name in ("success", "usual"))
+    note = (
+        f"{several(str(x['episodes']) for x in lines)} episodes with such arms; mode; rank correlation with the last column: "
+        f"{close:.2f} with such arms, {usual:.2f} of the usual success;"
+    )
+    return table(lines, columns, lambda x: (-x["there"][0] / x["there"][1], x["env"]), note)
 
 
 def _how_far(line: Line) -> str:

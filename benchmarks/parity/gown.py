@@ -8,6 +8,8 @@ arm the cuff comes, and AG's number of the gown's force from 4 s on: here newton
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import numpy as np
 
@@ -37,25 +39,37 @@ def play(env: agym_jax.Env, case: int, key: jax.Array) -> tuple[np.ndarray, floa
 
 
 def rows() -> list[Row]:
-    """Whether it goes on, how far, and how hard it presses."""
-    env, kept, found = agym_jax.make("DressingJaco-v0", impl="native"), traces("gown"), []
-    for case, name in enumerate(NAMES):
-        played = [play(env, case, jax.random.PRNGKey(start)) for start in range(STARTS)]
-        on = [x for x in played if x[1] > 0.2]
-        share = len(on) / STARTS
-        found.append(
-            Row(f"{name}: sleeve goes on, share of starts", "", ON[case], share, 0.35, "gown-start")
+    """Whether it goes on, how far, and how hard it presses, on capsules and on an arm as Assistive Gym's cloth finds it."""
+    settings: tuple[tuple[dict[str, Any] | None, str], ...] = (
+        (None, ""),
+        ({"tapered_arms": 1.0}, ", arm as there"),
+    )
+    return [
+        row
+        for config, what in settings
+        for env in [agym_jax.make("DressingJaco-v0", impl="native", config=config)]
+        for case, name in enumerate(NAMES)
+        for row in compared(env, case, name + what)
+    ]
+
+
+def compared(env: agym_jax.Env, case: int, name: str) -> list[Row]:
+    """The comparison of one recorded episode."""
+    kept = traces("gown")
+    played = [play(env, case, jax.random.PRNGKey(start)) for start in range(STARTS)]
+    on = [x for x in played if x[1] > 0.2]
+    share = len(on) / STARTS
+    found = [
+        Row(f"{name}: sleeve goes on, share of starts", "", ON[case], share, 0.35, "gown-start")
+    ]
+    if ON[case] and on:
+        best = float(np.mean([x[1] for x in on]))
+        found.append(Row(f"{name}: cuff up the arm", "m", float(kept["best"][case]), best, NEAR))
+        ag, ours = (
+            float(np.mean([x[ON_HAND:] for x in xs]))
+            for xs in (kept["number"][[case]], [x[0] for x in on])
         )
-        if ON[case] and on:
-            best = float(np.mean([x[1] for x in on]))
-            found.append(
-                Row(f"{name}: cuff up the arm", "m", float(kept["best"][case]), best, NEAR)
-            )
-            ag, ours = (
-                float(np.mean([x[ON_HAND:] for x in xs]))
-                for xs in (kept["number"][[case]], [x[0] for x in on])
-            )
-            found.append(
-                Row(f"{name}: number of the gown's force", "", ag, ours, 0.3 * ag, "cloth-force")
-            )
+        found.append(
+            Row(f"{name}: number of the gown's force", "", ag, ours, 0.3 * ag, "cloth-force")
+        )
     return found

@@ -65,3 +65,18 @@ def test_how_many_policies_keep_four_fifths_of_their_success_is_what_the_pages_s
     assert f"(with the [memory](docs/memory.md) of some, {all_kept})" in readme
     assert f"Four fifths are reached in {plain} of these {whole} environments" in transfer
     assert f"So {all_kept} of the {whole} environments have a policy that keeps" in transfer
+
+
+def test_policies_among_arms_as_there_have_the_figures_of_the_other_tables():
+    transfer, memory = ((ROOT / f"docs/{name}.md").read_text() for name in ("transfer", "memory"))
+    there = {(row[0], "ships"): row[1] for row in table_of(transfer, "in-assistive-gym")}
+    for env, _, success, *_, runs in table_of(memory, "memory-policies"):
+        there[env, "ships, with a memory"] = runs.rpartition("-> ")[2]
+        there[env, "usual"] = success.rpartition("-> ")[2].partition("%")[0]
+    rows = table_of(transfer, "dressing-arms")
+    shipped = [row for row in rows if row[1].startswith("ships")]
+    assert len(shipped) == 7  # with all four robots, and with a memory for three
+    for env, policy, usual, *_, runs in shipped:
+        assert runs == there[env, policy]
+        if "memory" in policy:
+            assert int(usual.rstrip("%")) == round(float(there[env, "usual"]))

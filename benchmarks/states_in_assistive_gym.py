@@ -122,6 +122,9 @@ def main() -> None:
     flags.add_argument("states", type=Path)
     flags.add_argument("--num-episodes", type=int, default=10)
     flags.add_argument("--seed", type=int, default=7000)
+    flags.add_argument(
+        "--smooth-bed", action="store_true", help="as that of benchmarks/in_assistive_gym.py"
+    )
     given = flags.parse_args()
     task, robot = ag.parse(given.env_name)
     if task not in ag.BEDS:
@@ -129,6 +132,10 @@ def main() -> None:
     if not given.states.absolute().parent.is_dir():
         raise SystemExit(f"{given.states}: there is no such folder.")
     act, _ = ag.load_actor(given.policy)
+    if given.smooth_bed:
+        import smooth_bed
+
+        smooth_bed.install()
     env, found = ag.make_env(task, robot), []
     for seed in range(given.seed, given.seed + given.num_episodes):
         found.append(record(env, act, task, robot, seed))

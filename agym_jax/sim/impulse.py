@@ -1,6 +1,6 @@
 """Are contact forces such as motors, momentum and joint limits can give? An impulse balance of any rollout.
 
-What a robot presses with must come from somewhere: over a control step the generalised impulses on its joints add up
+What a robot presses with must come from somewhere: over a control step (or one physics step) the generalised impulses on its joints add up
 to the change of momentum, ``sum of inertia @ (next - velocity) = step * sum of (motors + contacts + limits + inertial)``.
 ``watch`` keeps this account while C MuJoCo steps, from velocities and the inertia matrix alone on the left, and
 what the solver reports on the right. Torque that nobody has, such as that of a servo that knows no bound, is
@@ -35,7 +35,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Balance:
-    """Impulses on the robot's joints in one control step, divided by its length."""
+    """Impulses on the robot's joints in one step, divided by its length."""
 
     momentum: np.ndarray  # change of it [N m]                               (n,)
     motors: np.ndarray  # [N m]                                              (n,)
@@ -71,6 +71,7 @@ class Account:
 
     motors: Motors
     bound: float  # of a motor [N m]
+    each_physics_step: bool = False
     steps: list[Balance] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -101,9 +102,15 @@ class Account:
             sums[kind] += step * torque[dofs]
         self._force += step * self._normal_force(model, data)
         self._time += step
+        if self.each_physics_step:
+            self._close()
 
     def finish(self) -> None:
         """A control step is over."""
+        if not self.each_physics_step:
+            self._close()
+
+    def _close(self) -> None:
         mean = {k: np.asarray(x) / self._time for k, x in self._sums.items()}
         self.steps.append(Balance(**mean, force=self._force / self._time, bound=self.bound))
         self._clear()
@@ -120,11 +127,12 @@ class Account:
 
 
 @contextmanager
-def watch(physics: Physics) -> Iterator[Account]:
-    """Keep account of every control step that this physics takes meanwhile.
+def watch(physics: Physics, each_physics_step: bool = False) -> Iterator[Account]:
+    """Keep account of every step that this physics takes meanwhile.
 
     Args:
         physics: of an environment with ``impl="native"``.
+        each_physics_step: a balance of each physics step instead of each control step, as peaks of forces last one.
 
     Yields:
         the account; its ``steps`` grow.
@@ -137,7 +145,7 @@ def watch(physics: Physics) -> Iterator[Account]:
             "Impulses are recorded with C MuJoCo only: build the environment with impl='native'."
         )
     motors = physics.controller.motors
-    account = Account(motors, float(physics.model.dof_frictionloss[motors.dofs].max()))
+    account = Account(motors, float(physics.model.dof_frictionloss[motors.dofs].max()), each_physics_step)
     physics.watcher = account
     try:
         yield account

@@ -145,7 +145,9 @@ def watch(physics: Physics, each_physics_step: bool = False) -> Iterator[Account
             "Impulses are recorded with C MuJoCo only: build the environment with impl='native'."
         )
     motors = physics.controller.motors
-    account = Account(motors, float(physics.model.dof_frictionloss[motors.dofs].max()), each_physics_step)
+    account = Account(
+        motors, float(physics.model.dof_frictionloss[motors.dofs].max()), each_physics_step
+    )
     physics.watcher = account
     try:
         yield account

@@ -7,6 +7,8 @@ and ``env.py`` an environment. Lengths are in metres, angles in radians and quat
 from .optional import (
     BatchedOnCpu,
     Comfortable,
+    Diagnosed,
+    Ending,
     Furnished,
     Loaded,
     Measure,
@@ -27,6 +29,8 @@ __all__ = [
     "BatchedOnCpu",
     "Comfortable",
     "Control",
+    "Diagnosed",
+    "Ending",
     "Furnished",
     "Goal",
     "HumanSpec",

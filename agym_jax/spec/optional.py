@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -42,6 +43,26 @@ class Measured(Protocol):
 
     def measure(self, state: Any) -> dict[str, jax.Array]:
         """Return the current value () of each of ``measures``, by name and in the same order."""
+        ...
+
+
+@dataclass(frozen=True)
+class Ending:
+    """A way in which episodes fail, recognised by a measure at the end of the episode."""
+
+    words: str  # "nothing was poured"
+    measure: str  # name of a ``Measure``
+    low: float = -math.inf  # the measure is at least this,
+    high: float = math.inf  # and less than this
+
+
+@runtime_checkable
+class Diagnosed(Protocol):
+    """Optional protocol of measured tasks that can tell how an episode failed."""
+
+    @property
+    def endings(self) -> tuple[Ending, ...]:
+        """Ways to fail; of an episode that fails, the first one that applies counts. One of them always applies."""
         ...
 
 

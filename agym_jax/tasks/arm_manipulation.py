@@ -35,7 +35,7 @@ from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed, ToolSensed
-from agym_jax.spec import Control, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import Control, Ending, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 
 _RAD = math.pi / 180.0
@@ -155,6 +155,10 @@ class ArmManipulation:
     )  # fmt: skip
     measures: tuple[Measure, ...] = (
         Measure("distance", "m", "from elbow to waist and from hand to hips, both together"),
+    )
+    endings: tuple[Ending, ...] = (
+        Ending("arm farther than 1 m", "distance", low=1.0),
+        Ending("arm within 1 m", "distance"),
     )
     robot_obs: type = RobotObs
     human_obs: type = HumanObs

@@ -26,7 +26,7 @@ from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import Control, Ending, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 
 _H = math.sqrt(0.5)
@@ -159,6 +159,11 @@ class BedBathing:
     reward_terms: tuple[str, ...] = ("distance", "action", "wiping", *PREFERENCE_TERMS)
     measures: tuple[Measure, ...] = (
         Measure("wiped", "1", "share of the skin of upper arm and forearm that is wiped"),
+    )
+    endings: tuple[Ending, ...] = (
+        Ending("less than 10 % wiped", "wiped", high=0.1),
+        Ending("10 to 25 % wiped", "wiped", high=0.25),
+        Ending("more than 25 % wiped", "wiped"),
     )
     robot_obs: type = RobotObs
     human_obs: type = HumanObs

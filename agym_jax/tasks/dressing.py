@@ -42,7 +42,7 @@ from agym_jax.matter.shapes import Capsules
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import DRESSING_TERMS, dressing_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, Goal, HumanSpec, Measure, Preferences, SeatSpec, Surface
+from agym_jax.spec import Control, Ending, Goal, HumanSpec, Measure, Preferences, SeatSpec, Surface
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso
 
 _RAD = math.pi / 180.0
@@ -99,8 +99,7 @@ class Config:
             SpecError: if ``tapered_arms`` or ``settled_gown`` is not between 0 and 1.
         """
         for name in ("tapered_arms", "settled_gown"):
-            share = getattr(self, name)
-            if not 0.0 <= share <= 1.0:
+            if not 0.0 <= (share := getattr(self, name)) <= 1.0:
                 raise SpecError(
                     f"Dressing's {name} is a share of the episodes, between 0 and 1; got {share}."
                 )
@@ -189,6 +188,11 @@ class Dressing:
         Measure("covered", "1", "share of the arm's length that is in the sleeve"),
         Measure("held", "1", "share of episodes in which the gripper still holds the gown"),
     )
+    endings: tuple[Ending, ...] = (
+        Ending("gown dropped", "held", high=0.5),
+        Ending("hand not in the sleeve", "covered", high=0.01),
+        Ending("hand in the sleeve", "covered"),
+    )
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 
@@ -262,8 +266,7 @@ class Dressing:
             settled = jax.random.bernoulli(jax.random.fold_in(key, 2), self.config.settled_gown)
             settled_w = self.starts.nearest(sensed.tool.pos_w, hand_w)
             pos_w = jnp.where(settled, settled_w, pos_w)
-        free = (self.spec.held < 0)[:, None]
-        return replace(cloth, pos_w=jnp.where(free, pos_w, cloth.pos_w))
+        return replace(cloth, pos_w=jnp.where(self.spec.held[:, None] < 0, pos_w, cloth.pos_w))
 
     def advance(self, state: DressState, sensed: Sensed) -> tuple[DressState, dict[str, Array]]:
         """Simulate the gown as the hand moves, and measure how far up the arm it is."""
@@ -275,9 +278,8 @@ class Dressing:
 
     def _move(self, state: DressState, sensed: Sensed) -> tuple[DressState, ClothContact]:
         """Return the gown after the n physics steps of a control step, and its contacts in each of them."""
-        motion = sensed.motion
+        motion, tapers = sensed.motion, self.config.tapered_arms > 0.0
         limbs = (*TOUCHABLE, *BELOW)
-        tapers = self.config.tapered_arms > 0.0
         a, b, radius = obstacles(sensed.dims, limbs, motion.link_pos_w, motion.link_rot_w, tapers)
 
         def one(carry: tuple, moment: tuple) -> tuple[tuple, ClothContact]:
@@ -303,13 +305,8 @@ class Dressing:
         points, arm = state.cloth.pos_w[self.watched], arm_of(sensed)
         on_arm = sleeve.sleeve_state(points, arm).after(state.on_arm)
         dressed = sleeve.dressing_distance(points, arm, on_arm)
-        return replace(
-            state,
-            on_arm=on_arm,
-            dressed=dressed,
-            best=jnp.maximum(state.best, dressed),
-            progress=sleeve.progress(points, arm),
-        )
+        best, progress = jnp.maximum(state.best, dressed), sleeve.progress(points, arm)
+        return replace(state, on_arm=on_arm, dressed=dressed, best=best, progress=progress)
 
     def rewards(
         self, state: DressState, events: dict[str, Array], sensed: Sensed, action: Array

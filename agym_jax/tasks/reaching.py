@@ -23,7 +23,7 @@ from agym_jax.human.body import HEAD
 from agym_jax.observe import column, observation
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, Goal, HumanSpec, Measure, Preferences, SeatSpec
+from agym_jax.spec import Control, Ending, Goal, HumanSpec, Measure, Preferences, SeatSpec
 
 _RAD = math.pi / 180.0
 
@@ -109,6 +109,10 @@ class Reaching:
     episode_length: int = 200
     reward_terms: tuple[str, ...] = ("distance", *PREFERENCE_TERMS)
     measures: tuple[Measure, ...] = (Measure("distance", "m", "from hand to mouth"),)
+    endings: tuple[Ending, ...] = (
+        Ending("hand within 5 cm", "distance", high=0.05),
+        Ending("hand farther away", "distance"),
+    )
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 

@@ -19,7 +19,7 @@ from agym_jax.human.body import RIGHT_ARM, RIGHT_ARM_LINKS
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import PREFERENCE_TERMS, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import Control, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
+from agym_jax.spec import Control, Ending, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso, see_arm
 
 _H = math.sqrt(0.5)
@@ -143,6 +143,11 @@ class ScratchItch:
         *PREFERENCE_TERMS,
     )
     measures: tuple[Measure, ...] = (Measure("scratches", "1", "scratches of the itch"),)
+    endings: tuple[Ending, ...] = (
+        Ending("never scratched", "scratches", high=1.0),
+        Ending("1 to 12 scratches", "scratches", high=13.0),
+        Ending("13 scratches or more", "scratches"),
+    )
     robot_obs: type = RobotObs
     human_obs: type = HumanObs
 

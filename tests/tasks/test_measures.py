@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import agym_jax
 from agym_jax.matter.particles.fill import fill, load_fill
 from agym_jax.metrics import metric_names, progress_of
-from agym_jax.spec import Measured
+from agym_jax.spec import Diagnosed, Measured
 from agym_jax.tasks import TASKS
 from agym_jax.tasks.arm_manipulation import ARM_MANIPULATION, ArmState
 from agym_jax.tasks.bed_bathing import BED_BATHING, BathState
@@ -29,6 +30,16 @@ def test_every_task_tells_how_far_it_has_come(task):
     assert len(set(names)) == len(names)
     assert {f"task/{x.name}" for x in task.measures} < set(names)
     assert all(x.unit in ("1", "m") and x.words for x in task.measures)
+
+
+@pytest.mark.parametrize("task", TASKS.values(), ids=lambda task: task.name)
+def test_every_failure_has_an_ending(task):
+    assert isinstance(task, Diagnosed)
+    names = {x.name for x in task.measures}
+    assert len({x.words for x in task.endings}) == len(task.endings) > 1
+    assert all(x.measure in names and x.low < x.high for x in task.endings)
+    last = task.endings[-1]
+    assert (last.low, last.high) == (-np.inf, np.inf)  # whatever is left
 
 
 @pytest.mark.parametrize(("wiped", "done"), [(0, False), (2, False), (4, True), (10, True)])

@@ -15,7 +15,7 @@ from fake_press_env import FakePressEnv
 
 import agym_jax
 from agym_jax.human.population import Human
-from agym_jax.spec import Measure
+from agym_jax.spec import Ending, Measure
 from train.evaluate import evaluate
 from train.evaluation.outcome import Outcome
 from train.evaluation.people import People, by_group, people_in, worst
@@ -136,6 +136,23 @@ def test_the_table_of_seeds_says_how_episodes_end():
     assert "held" not in scores.table().splitlines()[2]
     assert [x and x["task/held"] for x in scores.summary()["outcome_of_seeds"]] == [0.02, None]
     assert "outcome_of_seeds" not in SeedScores({2: other}).summary()
+
+
+def test_failed_episodes_are_told_apart_by_how_they_end():
+    endings = (Ending("spilled", "spilled", low=0.26), Ending("nothing", "drunk", high=0.01))
+    endings += (Ending("rest", "drunk"),)
+    values = {
+        "drunk": np.array([0.9, 0.0, 0.0, 0.5, 0.7, 0.0]),
+        "spilled": np.array([0.0, 0.9, 0.1, 0.5, 0.2, 0.0]),
+    }
+    measures = tuple(Measure(name, "1", f"share {name}") for name in values)
+    times = np.array([3.0, *[np.nan] * 5])  # the first one succeeds
+    end = Outcome(measures, values, times, endings)
+    assert end.failures == {"spilled": 2, "nothing": 2, "rest": 1}  # each counts once
+    assert dict(end.rows())["episodes that fail"].split("   ")[-1] == "spilled 2, nothing 2, rest 1"
+    assert end.summary()["failures"] == end.failures
+    assert "failures" not in Outcome(measures, values, times).summary()
+    assert not Outcome(measures, values, np.ones(6), endings).failures
 
 
 def test_a_seed_that_misses_a_measure_is_chosen_only_if_all_do():

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from agym_jax.metrics import TASK_PREFIX
-from agym_jax.spec import Measure
+from agym_jax.spec import Ending, Measure
 
 UNDONE = "undone_until"
 """Name of a maximum among the sums: the last step after which the task was not done."""
@@ -31,11 +31,23 @@ class Outcome:
         measures: measures of the task.
         values: name of each measure -> its value at the last step    (episodes,).
         times: time from which the task remained done until the end [s]; NaN if it was not    (episodes,).
+        endings: ways to fail that the task tells apart.
     """
 
     measures: tuple[Measure, ...]
     values: Mapping[str, np.ndarray]
     times: np.ndarray
+    endings: tuple[Ending, ...] = ()
+
+    @property
+    def failures(self) -> dict[str, int]:
+        """How many of the failed episodes end in each of ``endings``, the most frequent first; each counts once."""
+        left, found = ~np.isfinite(self.times), dict[str, int]()
+        for ending in self.endings:
+            value = self.values[ending.measure]
+            mine = left & (value >= ending.low) & (value < ending.high)
+            found[ending.words], left = int(mine.sum()), left & ~mine
+        return dict(sorted(((k, n) for k, n in found.items() if n), key=lambda x: -x[1]))
 
     @property
     def median_time(self) -> float | None:
@@ -56,6 +68,10 @@ class Outcome:
             done = self.times[np.isfinite(self.times)]
             high = float(np.quantile(done, 0.9))
             found.append(("time to success [s]", f"{self.median_time:9.1f}   median; 90 % within {high:.1f}"))  # fmt: skip
+        if self.failures:
+            total = sum(self.failures.values())
+            each = ", ".join(f"{words} {n}" for words, n in self.failures.items())
+            found.append(("episodes that fail", f"{total:9d}   {each}"))
         return found
 
     def in_words(self) -> str:
@@ -65,7 +81,8 @@ class Outcome:
     def summary(self) -> dict[str, Any]:
         """Return the same as fields of a JSON line."""
         means = {f"{TASK_PREFIX}{x.name}": float(self.values[x.name].mean()) for x in self.measures}
-        return means | {"time_to_success": self.median_time}
+        failures = {"failures": self.failures} if self.endings else {}
+        return means | {"time_to_success": self.median_time} | failures
 
 
 def zero_outcome(state: Any, zeros: jax.Array) -> dict[str, jax.Array]:
@@ -99,4 +116,6 @@ def outcome_of(env: Any, sums: Mapping[str, np.ndarray], successes: np.ndarray) 
     measures = getattr(getattr(env, "task", None), "measures", ())
     known = tuple(x for x in measures if f"{TASK_PREFIX}{x.name}" in sums)
     times = np.where(successes, (sums[UNDONE] + 1) * getattr(env, "dt", 0.1), np.nan)
-    return Outcome(known, {x.name: sums[f"{TASK_PREFIX}{x.name}"] for x in known}, times)
+    values = {x.name: sums[f"{TASK_PREFIX}{x.name}"] for x in known}
+    endings = getattr(getattr(env, "task", None), "endings", ())
+    return Outcome(known, values, times, tuple(x for x in endings if x.measure in values))

@@ -152,7 +152,7 @@ def shortfalls(folder: Path = RESULTS) -> str:
 
     columns = {
         "environment": ORDER,
-        "gentle success": percent("gentle_success"),
+        "gentle success": lambda x: f"{x['gentle_success']:.1%}",
         "fails": lambda x: f"{1 - x['success']:.1%}",
         "done, but not gently": lambda x: f"{x['success'] - x['gentle_success']:.1%}",
         "helped least often": lambda x: worst_group(x, "success"),
@@ -171,6 +171,23 @@ def care(folder: Path = RESULTS) -> str:
         "time to success, median": lambda x: f"{x['time_to_success']:.1f} s",
     }
     return table(among_everybody(folder), columns, ORDER, "Mode;")
+
+
+def endings(folder: Path = RESULTS) -> str:
+    """How the episodes end that fail."""
+
+    def ways(line: Line) -> str:
+        total = sum(line["failures"].values())
+        return ", ".join(f"{words} {n / total:.0%}" for words, n in line["failures"].items())
+
+    lines = read_results("endings", ("env",), folder)
+    columns = {
+        "environment": ORDER,
+        "episodes": lambda x: f"{x['episodes']:,}",
+        "fail": lambda x: f"{sum(x['failures'].values()):,}",
+        "of these, how they end": ways,
+    }
+    return table([x for x in lines if x["failures"]], columns, ORDER, "Mode;")
 
 
 def limits(folder: Path = RESULTS) -> str:

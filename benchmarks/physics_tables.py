@@ -110,6 +110,22 @@ def inside(folder: Path = RESULTS) -> str:
     return table([x for x in lines if x["parts"]], columns, ORDER)
 
 
+def causes(folder: Path = RESULTS) -> str:
+    """Whether the largest forces on people have a cause."""
+    columns = {
+        "environment": ORDER,
+        "episodes": lambda x: f"{x['episodes']:,}",
+        "control steps": lambda x: x["steps"],
+        "their peaks on the person": lambda x: (
+            f"{x['least_peak']:.0f} to {x['peak']:.0f} N ({x['region']})"
+        ),
+        "largest force on robot and tools": lambda x: f"{x['force']:.0f} N",
+        "force beyond what has a cause": percent("beyond"),
+        "torque that the account lacks": lambda x: f"{x['lacks']:.2f} N m ({x['lacks_of']:.0%})",
+    }
+    return table(read_results("causes", ("env",), folder), columns, ORDER)
+
+
 def same_starts(folder: Path = RESULTS) -> str:
     """What policies do here from starts of episodes in Assistive Gym."""
     columns = {

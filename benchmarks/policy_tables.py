@@ -114,7 +114,7 @@ def success(folder: Path = RESULTS) -> str:
 
     def cell(x: Line) -> str:
         noted = f" of {x['episodes']:,}" if x["episodes"] != usual else ""
-        gently = f" / {x['gentle_success']:.0%}" if "gentle_success" in x else ""
+        gently = f" / {x['gentle_success']:.1%}" if "gentle_success" in x else ""
         return _share(x["success"], x["episodes"]) + gently + noted
 
     note = (

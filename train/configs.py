@@ -37,17 +37,17 @@ class LearnConfig(EnvFlags):
     """Settings shared by all trainers; see ``PPOConfig`` and ``CoopConfig``."""
 
     num_env_steps: Annotated[Count, tyro.conf.arg(aliases=["--total-timesteps"])] = 10_000_000
-    """Total number of environment steps, such as 1e7; rounded up to whole updates."""
+    """Total number of environment steps, such as 1e7; rounded up to whole updates. Other candidates' steps come on top."""
     save_dir: str | None = "trained_models"
     """Folder for the results; each environment gets its own subfolder. None writes nothing."""
     seed: int = 1
     """Seed of the networks, the environments and the exploration."""
     num_seeds: Count = 1
-    """Number of independent trainings run in parallel, with the seeds seed, seed + 1, ...; num_envs and num_env_steps
-    apply to each of them. Policies and learning curves are stored in the run's folders seed_1, seed_2, ..."""
+    """Number of independent trainings in parallel, with the seeds seed, seed + 1, ..., each with num_envs and num_env_steps;
+    their policies and learning curves are stored in the run's folders seed_1, seed_2, ..."""
     num_candidates: Count = 1
-    """Begin each training this many times with different random numbers; after the fraction candidates_until of the steps, only
-    the one with the highest success rate continues (if none succeeds, the one with the largest return)."""
+    """Begin each training this many times with different random numbers, each with num_envs; after candidates_until of the steps, only
+    the one with the highest success rate continues (if none succeeds, the largest return; with cost_limit, gentle success counts, too)."""
     candidates_until: float = 0.4
     """With num_candidates: fraction of the run after which one of them continues."""
     restart_share: float = 0.0

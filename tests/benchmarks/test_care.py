@@ -99,7 +99,7 @@ def test_only_what_misses_its_goal_is_a_shortfall(tmp_path):
         "| FeedingJacoHuman-v0",
         "| FeedingSawyer-v0",
     ]
-    assert rows[0][1:] == ["89%", "3.0%", "8.0%", "90% (men)", "90% (men)", "face, 11% |"]
+    assert rows[0][1:] == ["89.0%", "3.0%", "8.0%", "90% (men)", "90% (men)", "face, 11% |"]
     assert rows[1][5] == "" and rows[2][5] == "79% (men)" and rows[2][6] == "hand, 10% |"
 
 

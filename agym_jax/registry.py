@@ -89,7 +89,7 @@ def parse(name: str) -> Recipe:
     """
     if not isinstance(name, str):
         raise UnknownNameError("environment", name, list_envs(), _advice("", ""))
-    module, _, plain = name.removeprefix("agym_jax/").rpartition(":")
+    module, plain = name.removeprefix("agym_jax/").rpartition(":")[0], plain_id(name)
     _import(module, name)
     for task in TASKS:
         for robot in ROBOTS:
@@ -97,6 +97,11 @@ def parse(name: str) -> Recipe:
                 if plain == f"{task}{robot}{'Human' if active else ''}-{VERSION}":
                     return Recipe(plain, TASKS[task], ROBOTS[robot], active)
     raise UnknownNameError("environment", name, list_envs(), _advice(plain, module))
+
+
+def plain_id(name: str) -> str:
+    """Return an id without what may precede it: the module of a plug-in (``my_module:``), or Gymnasium's namespace (``agym_jax/``)."""
+    return name.removeprefix("agym_jax/").rpartition(":")[2]
 
 
 def static_id(name: str) -> str:

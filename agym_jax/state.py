@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -179,6 +180,21 @@ def begun(state: State, resets: list[tuple[Any, dict[str, Any]]]) -> State:
         return new
 
     return state.replace(**jax.tree.map(written, old, *parts))
+
+
+def drawn_of(state: Any, index: int) -> Any:
+    """Return what pictures of one environment of a batch need of its state, in NumPy.
+
+    A state of a batch cannot be indexed as a whole with every physics: some of Warp's buffers are shared by all environments.
+
+    Args:
+        state: of a batch.
+        index: of the environment.
+    """
+    data = {name: getattr(state.data, name) for name in ("qpos", "qvel")}
+    tree = {"task": state.task, "episode": state.episode, "data": data}
+    one = jax.tree.map(lambda x: np.asarray(x)[index], jax.device_get(tree))
+    return SimpleNamespace(**one | {"data": SimpleNamespace(**one["data"])})
 
 
 def limited_by_brax(state: State) -> State:

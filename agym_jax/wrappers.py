@@ -23,10 +23,17 @@ MAX_RESET_INTERVAL = 25
 """Control steps. Not a multiple of the 20 steps of a rollout, so that rollouts begin at different times of an episode."""
 
 
+def available_cores() -> int:
+    """Return the number of CPU cores that this process may use; where the system does not tell (macOS, Windows), of all."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def shared_reset_interval(episode_length: int) -> int:
-    """Return the largest divisor of an episode length up to ``MAX_RESET_INTERVAL``: many episodes end at the same step."""
-    longest = min(episode_length, MAX_RESET_INTERVAL)
-    return max(n for n in range(1, longest + 1) if episode_length % n == 0)
+    """Return the largest divisor of an episode length up to ``MAX_RESET_INTERVAL`` and half of it: many episodes end at the same step, not all."""
+    longest = min(episode_length // 2, MAX_RESET_INTERVAL)
+    return max((n for n in range(2, longest + 1) if episode_length % n == 0), default=1)
 
 
 class VectorEnv:
@@ -157,7 +164,7 @@ class NativeVectorEnv(VectorEnv):
         super().__init__(env, num_envs)
         if num_threads is not None:
             checked_count("num_threads", num_threads)
-        wanted = num_threads or len(os.sched_getaffinity(0))
+        wanted = num_threads or available_cores()
         physics = env.physics
         count = -(-num_envs // physics.rows[1])  # slots
         count = min(num_envs, -(-count // wanted) * wanted)

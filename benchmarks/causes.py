@@ -23,7 +23,7 @@ import numpy as np
 import tyro
 from rich.progress import track
 
-from agym_jax.errors import AgymError
+from agym_jax.errors import AgymError, ArgumentError
 from agym_jax.flags import Count
 from agym_jax.human.regions import NAMES
 from agym_jax.policy.files import find_policies, load_policies
@@ -72,7 +72,7 @@ class Hardest:
             peaks = np.asarray(state.regions.peak)
             for row in np.argsort(-peaks.max(axis=1)):
                 peak = float(peaks[row].max())
-                if len(self.kept) == self.count and peak <= self.kept[0][0]:
+                if peak <= 0.0 or (len(self.kept) == self.count and peak <= self.kept[0][0]):
                     break
                 before = jax.tree.map(lambda x, row=row: x[row], self._before)
                 entry = (peak, -len(peaks) * self.seen - int(row), int(peaks[row].argmax()), before)
@@ -116,6 +116,10 @@ def measure(env_name: str, config: CausesConfig) -> dict[str, Any]:
     Evaluator(env, config.num_episodes, AT_ONCE)(
         policy, jax.random.PRNGKey(config.seed), watch=hardest
     )
+    if not hardest.kept:
+        raise ArgumentError(
+            f"Nobody was touched in {config.num_episodes} episodes of {env_name}; ask for more with --num-episodes."
+        )
     peaks, off = [], 0.0
     with watch(env.physics, each_physics_step=True) as account:
         for peak, _, _, before in track(hardest.kept, f"{env_name}, accounts"):

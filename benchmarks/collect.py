@@ -34,6 +34,7 @@ from benchmarks import seed_curves, tables
 from benchmarks.markdown import RESULTS, Line, is_earlier
 from benchmarks.memory_tables import run_of
 from benchmarks.shipped import recorded
+from train.configs import CoopConfig, PPOConfig, config_for
 from train.runs.overview import JOURNAL, read_rows, selection_of, training_summary
 
 POLICIES = RESULTS.parent.parent / "assets" / "policies"
@@ -41,13 +42,8 @@ FOR_GENTLENESS = 0.05
 """Success that a policy may lack, compared with the one that it replaces."""
 LARGEST = 1_000_000  # bytes of a policy file; the largest networks take 740 kB
 ABOUT = (
-    "cost_limit",
-    "cost_multiplier_max",
-    "cost_margin",
-    "started_from",
-    "candidates",
-    "restart_share",
-)
+    "cost_limit", "cost_multiplier_max", "cost_margin", "started_from", "candidates", "restart_share",
+)  # fmt: skip
 """Fields of a training that its choice is kept with, if it had a cost limit, a memory or restarts, or began with a policy."""
 MEASURED = ("commit", "device", "versions", "time", "impl")
 """Fields of a choice that hold for everything measured with it."""
@@ -118,10 +114,8 @@ class Found:
     @property
     def gentle(self) -> bool:
         """Whether it was trained under a cost limit."""
-        limit = self.training.get(
-            "cost_limit"
-        )  # of runs whose settings were lost, the choice tells
-        return limit is not None or bool(self.choice.get("chosen_gently"))
+        # of runs whose settings were lost, the choice tells
+        return self.training.get("cost_limit") is not None or bool(self.choice.get("chosen_gently"))
 
     @property
     def continued(self) -> bool:
@@ -302,13 +296,18 @@ def decide(found: Found, least: float, replaced: bool = False) -> tuple[bool, st
     )
 
 
+def usual_restarts(name: str) -> float:
+    """The share of restarts with which an environment is trained on a GPU, where nothing else is said."""
+    return config_for(name, CoopConfig if parse(name).active else PPOConfig).restart_share
+
+
 def ship(found: Found) -> Line:
     """Copy the chosen policies to those that ship; returns the ``info`` of the robot's.
 
     Raises:
         CollectError: a file is too large, or of another environment.
     """
-    name, info = found.run.name, {}
+    name, policies = found.run.name, {}
     for agent, target in (("human", found.ships_in / "human"), ("robot", found.ships_in)):
         source = found.run / FILE_NAMES[agent]
         if agent == "human" and not parse(name).active:
@@ -319,10 +318,11 @@ def ship(found: Found) -> Line:
                 f"{source} is of {policy.info['env']} and has {source.stat().st_size:,} bytes; expected "
                 f"{name} and at most {LARGEST:,}."
             )
-        info = dict(policy.info)
-        info["commit"] = found.choice["policy_commit"]
-        save_policy(target / f"{name}.npz", dataclasses.replace(policy, info=info))
-    return info
+        info = {**policy.info, "commit": found.choice["policy_commit"]}
+        policies[target / f"{name}.npz"] = dataclasses.replace(policy, info=info)
+    for file, policy in policies.items():  # both of a pair, or neither
+        save_policy(file, policy)
+    return dict(policy.info)
 
 
 def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tuple[bool, str]:
@@ -341,17 +341,16 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
         ships, why = False, f"--keep; {why}"
     if not config.dry:
         about = {name: found.training[name] for name in ABOUT}
+        training = {name: x for name, x in found.training.items() if name != "curve"}
         if found.memory:
-            training = {name: x for name, x in found.training.items() if name != "curve"}
             put("memory", {**choice, **about, "training": training}, ("env", "time"))
         elif found.suite:
-            training = {name: x for name, x in found.training.items() if name != "curve"}
             line = {**choice, "training": training, "suite": found.suite}
             put("suite", line, ("env", "time"))
         elif found.gentle or found.continued:
             put("gentle" if found.gentle else "continued", {**choice, **about}, ("env", "time"))
             put("continued_training", found.training, ("env", "time"))
-        elif found.training["restart_share"]:  # no environment has restarts by default
+        elif found.training["restart_share"] != usual_restarts(name):
             put("restarts", {**choice, **about}, ("env", "time"))
         else:
             put("selection", choice, ("env", "time"))
@@ -377,10 +376,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status."""
     config = tyro.cli(CollectConfig, prog="python -m benchmarks.collect", args=arguments)
     try:
-        new = []
+        new: list[Path] = []
         for found in find(config):
-            ships, text = collect(found, config, found.run.name in new)
-            new += [found.run.name] * ships
+            ships, text = collect(found, config, found.file in new)
+            new += [found.file] * ships
             print(text, flush=True)
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
@@ -389,7 +388,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         tables.main([])
         seed_curves.main([])
         if new:
-            print(f"Their films are to be made anew: python -m benchmarks.clips {' '.join(new)}")
+            print(
+                f"Their films are to be made anew: python -m benchmarks.clips {' '.join(x.stem for x in new)}"
+            )
     return 0
 
 

@@ -407,7 +407,8 @@ def test_stagger_spreads_the_clocks(batch: CompiledBatch, rollout: Rollout):
 
 
 @pytest.mark.parametrize(
-    ("length", "interval"), [(200, 25), (100, 25), (50, 25), (40, 20), (26, 13), (29, 1), (7, 7)]
+    ("length", "interval"),
+    [(200, 25), (100, 25), (50, 25), (40, 20), (26, 13), (29, 1), (7, 1), (25, 5), (1, 1)],
 )
 def test_resets_of_a_staggered_batch_come_at_regular_steps(static_env, length, interval):
     env = vectorize(static_env, 2)

@@ -15,9 +15,11 @@ import pytest
 
 import agym_jax
 from agym_jax.errors import AgymError, MissingPlacementError, SpecError, UnknownNameError
-from agym_jax.registry import list_envs, parse, register_robot, register_task
+from agym_jax.policy.files import find_policies
+from agym_jax.registry import list_envs, parse, plain_id, register_robot, register_task
 from agym_jax.robots import ROBOTS
 from agym_jax.tasks import TASKS
+from train.configs import config_for
 
 
 def test_every_listed_id_parses_into_itself():
@@ -35,6 +37,11 @@ def test_every_listed_id_parses_into_itself():
 @pytest.mark.parametrize("prefix", ["agym_jax:", "agym_jax/"])
 def test_prefix_of_the_package_is_dropped(prefix: str):
     assert parse(f"{prefix}ScratchItchJaco-v0") == parse("ScratchItchJaco-v0")
+    assert plain_id(f"{prefix}ScratchItchJaco-v0") == plain_id("ScratchItchJaco-v0")
+    assert find_policies(f"{prefix}ScratchItchJaco-v0") == find_policies("ScratchItchJaco-v0")
+    settings = config_for("DressingJaco-v0")
+    prefixed = config_for(f"{prefix}DressingJaco-v0")
+    assert dataclasses.replace(prefixed, env_name=settings.env_name) == settings
 
 
 @pytest.mark.parametrize(

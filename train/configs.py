@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import tyro
 
 from agym_jax.flags import Count, EnvFlags, env_name_in, task_config
+from agym_jax.registry import plain_id
 
 from .errors import ConfigError, check_save_dir
 from .task_changes import CPU_CHANGES, SEARCH_CHANGES, TASK_CHANGES
@@ -306,8 +307,7 @@ def config_for(
 
 def entry_of(table: dict[str, Any], env_name: str, otherwise: Any) -> Any:
     """Return the entry with the longest key that is a prefix of the environment id."""
-    plain = env_name.rpartition(":")[2]  # without the module of a plug-in
-    keys = [key for key in table if plain.startswith(key)]
+    keys = [key for key in table if plain_id(env_name).startswith(key)]
     return table[max(keys, key=len)] if keys else otherwise
 
 

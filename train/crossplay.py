@@ -22,7 +22,7 @@ from agym_jax.policy.agents import BASELINES, Baseline, Pair, parts
 from agym_jax.policy.check import check_policy, settings_for
 from agym_jax.policy.files import find_policy, load_agent, run_file
 from agym_jax.policy.policy import Policy
-from agym_jax.registry import static_id
+from agym_jax.registry import plain_id, static_id
 
 from .envs import changed, make_env, refuse_static_human
 from .errors import ConfigError, reports_errors
@@ -70,7 +70,7 @@ def find_files(config: CrossplayConfig) -> tuple[list[str], list[str]]:
         ConfigError: if there is no robot policy, or no person.
         PolicyNotFoundError: if a file does not exist.
     """
-    plain = config.env_name.rpartition(":")[2]
+    plain = plain_id(config.env_name)
     robots, humans = (
         [str(run_file(Path(run) / plain, agent)) for run in config.runs] + list(more)
         for agent, more in (("robot", config.robots), ("human", config.humans))
@@ -138,7 +138,7 @@ def table(matrix: Matrix) -> str:
 
 
 def run(config: CrossplayConfig, make: Callable[..., Any] = make_env) -> Matrix:
-    """Evaluate the requested pairs, with the environment settings of the first robot's training, and print the table.
+    """Evaluate the requested pairs, with the environment settings of the first trained robot, and print the table.
 
     Raises:
         PolicyEnvironmentError, PolicyLayoutError: if a policy does not fit; the message says what would.
@@ -146,7 +146,8 @@ def run(config: CrossplayConfig, make: Callable[..., Any] = make_env) -> Matrix:
     if config.json:
         check_writable(Path(config.json).parent, "Choose another file with --json.")
     robot_files, humans_files = find_files(config)
-    settings = settings_for(robot_files[0], config.env_name)
+    trained = [file for file in robot_files if file not in BASELINES]
+    settings = settings_for((trained or robot_files)[0], config.env_name)
     env = make(config.env_name, config.impl, **settings)
     refuse_static_human(env)
     robots = {name: load_agent(name, env, "robot") for name in robot_files}

@@ -27,6 +27,7 @@ from agym_jax.errors import checked_count
 from agym_jax.flags import Count, command_words, first_paragraph
 from agym_jax.policy.agents import baseline_policy
 from agym_jax.policy.files import PolicyFiles, find_policy, load_policies
+from agym_jax.registry import plain_id
 
 from .configs import config_for
 from .enjoy import Frame, caption
@@ -154,7 +155,7 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
 
     check_writable(config.out, "Choose another with --out.")
     env = make(config.env_name, "native")  # first: it knows which ids there are
-    path = find_policy(config.env_name.rpartition(":")[2], None, config.policy)
+    path = find_policy(plain_id(config.env_name), None, config.policy)
     policy = load_policies(PolicyFiles(str(path), None), env)
     say(f"The trained policy helps {config.humans} people that it has not seen in training.")
     recorder = Recorder()

@@ -89,6 +89,10 @@ def parse_grid(grid: Sequence[str], random: int = 0, seed: int = 0) -> list[Sett
         name = name.replace("-", "_")
         if name not in SWEPT:
             raise UnknownNameError("hyperparameter to sweep", name, SWEPT)
+        if name in axes:
+            raise ConfigError(
+                f"--grid has {name} twice; give all of its values at once: {name}=A,B,..."
+            )
         try:
             axes[name] = [float(x) for x in values.split(",")]
         except ValueError:
@@ -97,6 +101,9 @@ def parse_grid(grid: Sequence[str], random: int = 0, seed: int = 0) -> list[Sett
     if 0 < random < len(settings):
         chosen = np.random.default_rng(seed).permutation(len(settings))[:random]
         settings = [settings[i] for i in sorted(chosen)]
+    names = [name_of(setting) for setting in settings]
+    if twice := sorted({x for x in names if names.count(x) > 1}):
+        raise ConfigError(f"--grid has {twice[0]} twice (a folder's name has six digits).")
     if len(settings) < 2:
         raise ConfigError("A sweep needs at least two settings: --grid lr=3e-4,1e-3.")
     return settings

@@ -34,6 +34,7 @@ from agym_jax.adapters.common import (
 )
 from agym_jax.errors import ArgumentError, checked_count
 from agym_jax.human.population import Population
+from agym_jax.state import drawn_of
 from agym_jax.variation import RobotVariation
 from agym_jax.wrappers import vectorize
 
@@ -198,10 +199,7 @@ class GymnasiumVectorEnv(VectorEnv):
         """Return an image of each environment, uint8 (height, width, 3), or None if made without a render mode."""
         if self.render_mode is None:
             return None
-        state = jax.device_get(self.state)
-        return tuple(
-            self._picture(jax.tree.map(lambda x, i=i: x[i], state)) for i in range(self.num_envs)
-        )
+        return tuple(self._picture(drawn_of(self.state, i)) for i in range(self.num_envs))
 
     def _picture(self, state: Any) -> np.ndarray:
         renderer, _, data = self._view.renderer(self.core, state)

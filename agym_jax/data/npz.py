@@ -13,6 +13,7 @@ import io
 import json
 import os
 import struct
+import sys
 import tempfile
 import tokenize
 import zipfile
@@ -174,6 +175,8 @@ def write_file(path: Path, content: bytes) -> None:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
         raise
+    if sys.platform == "win32":  # has no way to write out a folder
+        return
     folder = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(folder)

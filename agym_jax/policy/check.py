@@ -11,7 +11,7 @@ from agym_jax.errors import PolicyEnvironmentError, PolicyLayoutError
 from agym_jax.memory import MEMORY
 from agym_jax.policy.agents import BASELINES, AnyPolicy, Pair, parts
 from agym_jax.policy.policy import Policy, read_policy
-from agym_jax.registry import active_id, static_id
+from agym_jax.registry import active_id, plain_id, static_id
 
 MOVES = {"robot": "the robot", "human": "the person", "joint": "robot and person together"}
 FLAGS = {
@@ -40,7 +40,7 @@ def settings_for(path: Path | str, env_name: str) -> dict[str, Any]:
     """
     if str(path) in BASELINES:
         return {}
-    info, plain = read_policy(path).info, env_name.rpartition(":")[2]
+    info, plain = read_policy(path).info, plain_id(env_name)
     same = static_id(str(info.get("env"))) == static_id(plain)
     return arguments_of(meant_for(info)) if same else {}
 

@@ -26,7 +26,7 @@ from agym_jax.policy.contract import contract
 from agym_jax.policy.files import find_policies
 from agym_jax.policy.onnx_graph import PRECISIONS, build_model, import_onnx
 from agym_jax.policy.policy import Policy, read_policy
-from agym_jax.registry import active_id, parse, static_id
+from agym_jax.registry import active_id, parse, plain_id, static_id
 
 SUFFIX = ".onnx"
 AGENTS = ("robot", "human", "joint")
@@ -100,7 +100,7 @@ def choose_policy(
     """
     if policy in BASELINES:
         raise ArgumentError(f"{policy!r} is not a policy that can be exported. Name a file with --policy.")  # fmt: skip
-    plain = env_id.rpartition(":")[2]
+    plain = plain_id(env_id)
     if agent in ("human", "joint") and plain == static_id(plain):
         raise PolicyEnvironmentError(
             f"In {plain!r} the person holds still: there is no --agent {agent}. Use {active_id(plain)}."

@@ -18,7 +18,7 @@ from agym_jax.memory import SHIPPED, Memory
 from agym_jax.policy.agents import BASELINES, Baseline, Pair, baseline_policy, parts
 from agym_jax.policy.check import check_policy, train_command
 from agym_jax.policy.policy import Policy, not_found, read_policy, shipped, shipped_folder
-from agym_jax.registry import active_id, static_id
+from agym_jax.registry import active_id, plain_id, static_id
 
 FILE_NAMES = {"robot": "policy.npz", "joint": "policy.npz", "human": "human_policy.npz"}
 """Agent -> name of its policy file in the folder of a run."""
@@ -196,7 +196,7 @@ def find_policies(
         PolicyNotFoundError: if there is no such file.
         PolicyEnvironmentError: if a person's policy is given, but the person does not act.
     """
-    plain = env_name.rpartition(":")[2]
+    plain = plain_id(env_name)
     acts = plain != static_id(plain)
     if human_policy and not acts:
         raise PolicyEnvironmentError(

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -19,6 +20,8 @@ import agym_jax
 from agym_jax.adapters.vector import GymnasiumVectorEnv
 from agym_jax.errors import ActionError, AgymError, ArgumentError, ImplementationError
 from agym_jax.human.population import Population
+from agym_jax.state import drawn_of
+from agym_jax.wrappers import available_cores
 
 NAME = "ReachingJaco-v0"
 B, T = 3, 200
@@ -115,6 +118,21 @@ def test_other_wrappers_of_gymnasium_take_it(envs):
 
 
 @pytest.mark.jit
+def test_a_state_with_shared_buffers_can_be_drawn():
+    """Warp's data has leaves without an axis of environments."""
+    data = SimpleNamespace(qpos=np.eye(3), qvel=2 * np.eye(3), nacon=np.zeros(1))
+    batch = SimpleNamespace(data=data, task={"a": np.arange(3)}, episode={"b": np.arange(3)})
+    one = drawn_of(batch, 2)
+    assert (one.task["a"], one.episode["b"]) == (2, 2)
+    assert one.data.qpos.tolist() == [0, 0, 1] and one.data.qvel.tolist() == [0, 0, 2]
+
+
+def test_the_cores_are_counted_where_the_system_does_not_tell(monkeypatch):
+    assert available_cores() >= 1
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)  # macOS, Windows
+    assert available_cores() == os.cpu_count()
+
+
 def test_pictures_show_each_person(envs, raycast):
     envs.reset(seed=0)
     pictures = envs.render()

@@ -31,6 +31,13 @@ def test_the_hardest_steps_are_kept_with_the_state_before(monkeypatch: pytest.Mo
     assert [x[3] for x in kept] == [2, 60, 70]
 
 
+def test_where_nobody_is_touched_nothing_is_kept():
+    hardest = causes.Hardest(3, length=3)
+    for state in (seen(0, 0), seen(0, 0), seen(0, 0), seen(9, 9)):
+        hardest(state)
+    assert not hardest.kept
+
+
 def balance(contacts: float, force: float, motors: float = 0.0) -> Balance:
     nothing = np.zeros(1)
     return Balance(

@@ -228,6 +228,8 @@ def test_invalid_descriptions_are_refused(tmp_path: Path):
         ({"cuff": None}, "does not specify cuff"),
         ({"cufff": [0]}, "'cufff'.*cuff"),
         ({"cuff": [5]}, "vertex 5 lies on 0 edges"),
+        ({"scale": "'cm'"}, "scale must be a number, got 'cm'"),
+        ({"mesh": 3}, "mesh must be the name of a file, got 3"),
     ):
         with pytest.raises(GarmentError, match=message):
             load(str(write_obj(tmp_path, SQUARE, **changes)))
@@ -237,6 +239,9 @@ def test_invalid_descriptions_are_refused(tmp_path: Path):
         load(str(path))
     path.write_text("cuff = [")
     with pytest.raises(GarmentError, match="not TOML"):
+        load(str(path))
+    path.write_bytes(b"# \xff")
+    with pytest.raises(GarmentError, match="not UTF-8"):
         load(str(path))
     with pytest.raises(GarmentError, match="needs a description"):
         load(str(tmp_path / "mine.obj"))

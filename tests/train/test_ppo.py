@@ -107,6 +107,21 @@ def test_a_finished_run_is_not_run_again(trained):
     assert any("raise --num-env-steps" in text for text in said)
 
 
+def test_what_is_known_of_a_finished_run_stays(trained):
+    _, _, folder, _ = trained
+    names = ("config.json", "policy.npz", "curve.jsonl")
+    before = [(folder / name).read_bytes() for name in names]
+    config = dataclasses.replace(CONFIG, save_dir=str(folder.parent))
+    train(FakeEnv(), dataclasses.replace(config, lr=1.0))  # other settings trained nothing
+    assert [(folder / name).read_bytes() for name in names] == before
+    with pytest.raises(CheckpointMismatchError, match=r"is of seed \d+, this run has seed 77"):
+        train(FakeEnv(), dataclasses.replace(config, seed=77))
+    (folder / "policy.npz").unlink()  # lost: the checkpoint has it
+    train(FakeEnv(), config)
+    assert (folder / "policy.npz").is_file()
+    (folder / "policy.npz").write_bytes(before[1])
+
+
 def test_another_network_in_the_same_folder_is_refused_before_compiling(trained):
     _, _, folder, _ = trained
     env = FakeEnv()

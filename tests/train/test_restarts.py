@@ -19,6 +19,7 @@ from train.learning import restarts
 from train.learning.execution import StepwiseEnv
 from train.learning.restarts import COPIES, RestartingVectorEnv, choose_sources
 from train.learning.rollout import REMEMBERED, RESTARTED, collect, init_rollout
+from train.runs.session import resolve_config
 
 N = 256
 CONFIG = PPOConfig(
@@ -191,5 +192,7 @@ def test_a_pair_trains_with_restarts():
 def test_an_environment_whose_step_is_compiled_is_refused():
     with pytest.raises(ConfigError, match="--restart-share does not work with a StepwiseEnv"):
         ppo.train(StepwiseEnv(FakeEnv().vectorize(32)), CONFIG)
+    with pytest.raises(ConfigError, match=r"end at different times.*--stagger"):
+        resolve_config(FakeEnv(), dataclasses.replace(CONFIG, stagger=False))
     with pytest.raises(ConfigError, match="restart_share must be between 0 and 1, got 2"):
         dataclasses.replace(CONFIG, restart_share=2)

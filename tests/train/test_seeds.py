@@ -122,6 +122,10 @@ def test_files_of_each_seed_and_a_run_resumed_whole(tmp_path):
         policy = read_policy(folder / found.name / "policy.npz")
         assert policy.info["seed"] == found.seed and policy.info["env_steps"] == 1920
         np.testing.assert_array_equal(weights({"robot": policy}), weights(found.policies))
+    for name in ("policy.npz", "selection.jsonl"):  # one is chosen, and all are trained further
+        (folder / name).write_text("chosen")
+    ppo.train(FakeEnv(), config)  # not further: it stays
+    assert (folder / "policy.npz").read_text() == "chosen"
     combined = (folder / "curve.jsonl").read_text().splitlines()
     assert [json.loads(row)["num_seeds"] for row in combined] == [2, 2, 2]
     with pytest.raises(
@@ -137,6 +141,11 @@ def test_files_of_each_seed_and_a_run_resumed_whole(tmp_path):
         CheckpointMismatchError, match=r"of 2 trainings \(.*\), this run of 1 training\."
     ):
         ppo.train(FakeEnv(), dataclasses.replace(config, num_seeds=1, num_env_steps=9_600))
+    assert (folder / "policy.npz").read_text() == "chosen"
+    ppo.train(FakeEnv(), dataclasses.replace(config, num_env_steps=2_560))
+    assert not (folder / "policy.npz").exists() and not (folder / "selection.jsonl").exists()
+    aside = {path.name for path in (folder / "chosen_at_step_1920").iterdir()}
+    assert aside == {"policy.npz", "selection.jsonl"}
 
 
 def spoil(monkeypatch, *lost):

@@ -17,6 +17,7 @@ from train.errors import ConfigError
 from train.evaluate import Evaluator
 from train.learning.execution import StepwiseEnv
 from train.ppo import train
+from train.runs.session import resolve_config
 
 CONFIG = PPOConfig(
     num_env_steps=1280,
@@ -75,3 +76,10 @@ def test_the_demo_knows_which_environments_there_are(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "UnknownNameError" in said and "Did you mean 'ScratchItchJaco-v0'" in said
     assert not list(tmp_path.iterdir())
+
+
+def test_several_hosts_do_not_train_with_c_mujoco(monkeypatch):
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    config = PPOConfig(env_name="FakeReach-v0", save_dir=None)
+    with pytest.raises(ConfigError, match="one machine"):
+        resolve_config(StepwiseEnv(FakeEnv().vectorize(4)), config)

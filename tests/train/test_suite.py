@@ -93,6 +93,17 @@ def test_commands_of_robots_alone_and_of_pairs(tmp_path, program):
     assert f"{ids[0]}.log" in describe(changed) and len(calls(tmp_path)) == before
 
 
+def test_a_film_has_the_settings_of_the_training(tmp_path, program):
+    changes = {"task.settled_gown": 0.5, "memory": [0.3, 4.0]}
+    (tmp_path / "FeedingJaco-v0").mkdir()
+    line = {"env": "FeedingJaco-v0", "chosen_success": 0.9, "changes": changes}
+    (tmp_path / "FeedingJaco-v0" / "selection.jsonl").write_text(json.dumps(line))
+    runner = Runner(SuiteConfig(num_seeds=2, save_dir=str(tmp_path)), program, [])
+    assert runner._film("FeedingJaco-v0") == ""
+    ((words, _),) = calls(tmp_path)
+    assert words[words.index("--task.settled-gown") + 1] == "0.5" and "--memory" not in words
+
+
 def test_what_fails_is_told_and_the_others_go_on(tmp_path, program):
     config = SuiteConfig(num_seeds=2, save_dir=str(tmp_path))
     bad, good = Runner(config, program).all(["DressingJaco-v0", "ReachingJaco-v0"])

@@ -57,6 +57,9 @@ def test_settings_of_a_grid():
         parse_grid(["ppo_epoch=2,4"])
     with pytest.raises(ConfigError, match="with numbers"):
         parse_grid(["lr=a,b"])
+    for twice in (["lr=1e-3,0.001"], ["lr=1", "lr=2"], ["lr=0.10000001,0.10000002"]):
+        with pytest.raises(ConfigError, match=r"--grid has lr.* twice"):
+            parse_grid(twice)
     with pytest.raises(ConfigError, match="at least two settings"):
         parse_grid(["lr=1"])
 

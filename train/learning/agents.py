@@ -24,6 +24,7 @@ from agym_jax.policy.files import find_policy
 from agym_jax.policy.networks import Architecture, make_networks, mode_action, sample_action
 from agym_jax.policy.policy import Policy, read_policy, shipped
 from agym_jax.registry import static_id
+from agym_jax.wrappers import shared_reset_interval
 
 from ..configs import LearnConfig
 from .constraint import COST_LOSSES, SHARED
@@ -137,8 +138,9 @@ class Agents:
         scalars = (*LOSSES, *(COST_LOSSES if self.constrained else ()))
         losses = (self._loss(name, loss) for name in learning for loss in scalars)
         self.losses, self.episode_length = tuple(dict.fromkeys(losses)), env.episode_length
-        # a batch of the environment's own may truncate whenever it wants
-        self.truncated_every = None if hasattr(env, "vectorize") else env.episode_length
+        # a batch of the environment's own may truncate whenever it wants, and a restarted episode ends sooner
+        every = shared_reset_interval if config.restart_share else int
+        self.truncated_every = None if hasattr(env, "vectorize") else every(env.episode_length)
         self.axes: tuple[int, ...] = ()
 
     def init(self, key: jax.Array) -> LearnerState:

@@ -6,7 +6,7 @@ import dataclasses
 import datetime
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +107,27 @@ class RunFolder:
         """Save the policies of all agents."""
         for agent, policy in policies.items():
             save_policy(self.path / FILE_NAMES[agent], policy)
+
+    def has_policies(self, agents: Iterable[str]) -> bool:
+        """Whether there is a policy of each of these agents."""
+        return all((self.path / FILE_NAMES[agent]).is_file() for agent in agents)
+
+    def set_aside_choice(self, steps: int) -> Path | None:
+        """Move aside what was chosen among seeds, as they are trained further.
+
+        Args:
+            steps: environment steps of a seed when it was chosen.
+
+        Returns:
+            The folder with it; None if nothing had been chosen.
+        """
+        names = {*FILE_NAMES.values(), "selection.jsonl"}
+        there = [path for name in sorted(names) if (path := self.path / name).is_file()]
+        aside = self.path / f"chosen_at_step_{steps}"
+        for path in there:
+            aside.mkdir(exist_ok=True)
+            path.replace(aside / path.name)
+        return aside if there else None
 
     def write_curve(self, curve: Sequence[Mapping[str, Any]]) -> None:
         """Replace the curve, as when a run goes on from a checkpoint."""

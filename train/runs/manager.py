@@ -17,6 +17,7 @@ from agym_jax.interrupts import deferred
 from agym_jax.policy.policy import Policy
 
 from ..configs import LearnConfig
+from ..errors import CheckpointMismatchError
 from ..learning.agents import Agents
 from ..learning.seeds import Lane, SideBySide, lanes_of
 from ..learning.sharding import to_host
@@ -74,7 +75,7 @@ class CheckpointManager:
         self.combined: list[Row] = self.curves[0] if len(self.lanes) == 1 else []
         self.stopped: dict[str, str] = {}
         self.candidates: dict[str, Any] | None = None
-        self.seconds, self.saved_steps = 0.0, 0
+        self.seconds, self.saved_steps, self._complete = 0.0, 0, False
         self.trouble = ""
         self._loggers = loggers or Loggers((), None, say)
         self._say, self._behind = say, set[str]()  # files of curves that lack rows
@@ -116,6 +117,12 @@ class CheckpointManager:
         if not found:
             return learner, None
         meta = found.meta
+        seed = meta.get("config", {}).get("seed", self._config.seed)
+        if seed != self._config.seed:
+            raise CheckpointMismatchError(
+                f"{found.path} is of seed {seed}, this run has seed {self._config.seed}. Continue with --seed {seed}, choose another "
+                f"--save-dir, or start over with --fresh (which moves the old run aside)."
+            )
         self.combined, self.seconds = meta["curve"], meta["seconds"]
         self.curves = meta.get("curves") or [self.combined]
         self.stopped = dict(meta.get("stopped", {}))
@@ -123,10 +130,15 @@ class CheckpointManager:
         self.saved_steps = steps_of(found.learner)
         return found.learner, meta
 
-    def begin(self, learner: Any) -> None:
+    def begin(self, learner: Any, complete: bool = False) -> None:
         """Write down the settings, the curves as far as they are valid, and a checkpoint if there is none yet.
 
         So a run that has begun has a checkpoint, and can be told from results that nothing can continue.
+
+        Args:
+            learner: with which the run begins.
+            complete: whether there is nothing left to do. What has been written about the run then stays, as this commit and these
+                settings did not train it.
 
         Raises:
             SaveFolderError: they cannot be written.
@@ -134,18 +146,22 @@ class CheckpointManager:
         if not self._folder:
             return
         resumed_from_step = self.saved_steps or None
+        self._complete = bool(complete and resumed_from_step)
         try:
             if not resumed_from_step:
                 save_checkpoint(self._folder.checkpoints, learner, self._meta(0.0))
                 self.saved_steps = steps_of(learner)
             for folder in self._folders():
                 check_writable(folder.path)
-            self._folder.write_config(
-                self._config,
-                resumed_from_step=resumed_from_step,
-                impl=str(getattr(self._env, "impl", self._config.impl)),
-                candidates=self.candidates,
-            )
+            if not self._complete:
+                if resumed_from_step and len(self.lanes) > 1:
+                    self._set_aside_choice(resumed_from_step)
+                self._folder.write_config(
+                    self._config,
+                    resumed_from_step=resumed_from_step,
+                    impl=str(getattr(self._env, "impl", self._config.impl)),
+                    candidates=self.candidates,
+                )
             self._write_curves()
             self._loggers.begin(self._named())
         except SaveFolderError:
@@ -281,6 +297,12 @@ class CheckpointManager:
             time.sleep(min(2.0, max(0.0, deadline - time.monotonic())))
         return True
 
+    def _set_aside_choice(self, steps: int) -> None:
+        if self._folder and (aside := self._folder.set_aside_choice(steps)):
+            self._say(
+                f"What was chosen among the seeds before is now in {aside}; choose again with agym-jax select {self._folder.path}."
+            )
+
     def _write_curves(self) -> None:
         for folder, curve in zip(self._folders(), self.curves, strict=True):
             folder.write_curve(curve)
@@ -290,7 +312,8 @@ class CheckpointManager:
 
     def _save_policies(self, policies: list[Policies]) -> None:
         for folder, own in zip(self._folders(), policies, strict=True):
-            folder.save_policies(own)
+            if not (self._complete and folder.has_policies(own)):
+                folder.save_policies(own)
 
     def finish(self, learner: Any) -> list[Policies]:
         """Save policies and picture; returns the policies by agent, for each lane."""

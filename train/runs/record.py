@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import importlib.metadata
 import json
-import os
 import platform
 import subprocess
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import jax
 
 import agym_jax
+from agym_jax.wrappers import available_cores
 
 ROOT = Path(__file__).resolve().parents[2]
 """The checkout; in an installed wheel, where this is ``agym_jax.train``, the package's folder."""
@@ -66,9 +66,7 @@ def device() -> dict[str, Any]:
         "platform": devices[0].platform,
         "kind": kind,
         "count": len(devices),
-        "cpu_cores": len(os.sched_getaffinity(0))
-        if hasattr(os, "sched_getaffinity")
-        else os.cpu_count(),
+        "cpu_cores": available_cores(),
     }
 
 

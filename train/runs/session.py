@@ -26,7 +26,7 @@ from agym_jax.errors import AgymError
 from agym_jax.flags import command_words, made_of
 from agym_jax.interrupts import INTERRUPTED, deferred, raise_again
 from agym_jax.policy.check import trained_otherwise
-from agym_jax.registry import parse
+from agym_jax.registry import parse, plain_id
 
 from ..configs import Config, LearnConfig, parse_arguments, resolve, updates_in
 from ..envs import is_native, make_env, vectorize
@@ -36,14 +36,7 @@ from ..learning.execution import STEPWISE, StepwiseEnv, compile_together, execut
 from ..learning.hosts import check_agreement, join_hosts, wait_for_hosts
 from ..learning.restarts import with_restarts
 from ..learning.rollout import RolloutState, fold_in, init_rollout, split_keys
-from ..learning.seeds import (
-    Lane,
-    SideBySide,
-    candidates_of,
-    keep_learner,
-    lane_keys,
-    lanes_of,
-)
+from ..learning.seeds import Lane, SideBySide, candidates_of, keep_learner, lane_keys, lanes_of
 from ..learning.sharding import AXIS, device_mesh, replicate, shard, shardings, to_host
 from ..learning.update import make_updates
 from . import candidates
@@ -75,6 +68,12 @@ def resolve_config(env: Any, config: Config) -> tuple[Config, Mesh | None]:
             f"CPU's cores. Leave --devices out, or use --impl jax."
         )
     single = isinstance(env, StepwiseEnv) or is_native(env)
+    if single and jax.process_count() > 1:
+        raise ConfigError("C MuJoCo (impl='native') trains on one machine; with --hosts, use MJX.")
+    if config.restart_share and not config.stagger:
+        raise ConfigError(
+            "--restart-share needs episodes that end at different times. Use it with --stagger, or set it to 0."
+        )
     mesh = None if single else device_mesh(config.devices)
     config = dataclasses.replace(config, **made_of(env))
     return resolve(config, jax.default_backend(), mesh.size if mesh else 1), mesh
@@ -187,11 +186,11 @@ class _Session:
                 if otherwise := trained_otherwise(policy, env):
                     progress.say(f"The policy it starts from was trained otherwise: {otherwise}.")
         check_agreement("the step to go on from", first_steps, "They need a common --save-dir.")
-        manager.begin(learner)
-
         batch = config.num_envs * config.num_steps
         total_steps = updates_in(config.num_env_steps, batch) * batch
         end = updates_in(math.ceil(config.num_env_steps * (until or 1)), batch) * batch
+        manager.begin(learner, complete=first_steps >= end)
+
         rollout: Any = None
         run: Any = None
         if first_steps < end:
@@ -374,7 +373,7 @@ def command_line(
         join_hosts(config.hosts)
         config = parse_arguments(words, kind, prog, jax.default_backend())  # JAX knows it only now
         if config.save_dir is not None and jax.process_index() == 0:
-            RunFolder(config.save_dir, config.env_name.rpartition(":")[2]).check(config.fresh)
+            RunFolder(config.save_dir, plain_id(config.env_name)).check(config.fresh)
         env = make(config.env_name, config.impl, **config.options())
         raise_again()
         result = train(env, config, for_terminal())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,6 +14,8 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+from agym_jax.changes import flags_of
+from agym_jax.memory import MEMORY
 from agym_jax.registry import parse
 
 from ..runs.overview import JOURNAL, read_rows, selection_of
@@ -147,7 +150,15 @@ class Runner:
             return ""
         words = ["enjoy", "--env-name", env_name, "--load-dir", str(folder), "--clip", str(film)]
         size = ["--width", "320", "--height", "240"]
-        return self._run([*words, *size], env_name, {"JAX_PLATFORMS": "cpu"}, "film.log")
+        # as the policy was trained; it brings its memory along
+        changes = (selection_of(folder / env_name) or {}).get("changes", {})
+        as_trained = flags_of({name: x for name, x in changes.items() if name != MEMORY})
+        return self._run(
+            [*words, *size, *shlex.split(as_trained)],
+            env_name,
+            {"JAX_PLATFORMS": "cpu"},
+            "film.log",
+        )
 
     def _run(
         self, words: Sequence[str], env_name: str, environment: Mapping[str, str], log: str = "log"

@@ -136,6 +136,8 @@ def _read_description(path: Path) -> Garment:
             said = tomllib.load(file)
         except tomllib.TOMLDecodeError as error:
             raise GarmentError(f"{path.name} is not TOML: {error}.") from error
+        except UnicodeDecodeError as error:
+            raise GarmentError(f"{path.name} is not TOML: it is not UTF-8.") from error
     for key in said:
         if key not in PARTS:
             raise GarmentError(f"{path.name} names {key!r}. {did_you_mean(key, PARTS)}")
@@ -144,6 +146,11 @@ def _read_description(path: Path) -> Garment:
             raise GarmentError(
                 f"{path.name} does not specify {key}; a garment needs mesh, cuff and anchors."
             )
+    for key in {"scale", "area_density"} & said.keys():
+        if isinstance(said[key], bool) or not isinstance(said[key], int | float):
+            raise GarmentError(f"{path.name}: {key} must be a number, got {said[key]!r}.")
+    if not isinstance(said["mesh"], str):
+        raise GarmentError(f"{path.name}: mesh must be the name of a file, got {said['mesh']!r}.")
     vertices, triangles = _read_obj(asset_path(str((path.parent / said["mesh"]).absolute())))
     cuff = _indices(path.name, "cuff", said["cuff"], len(vertices))
     if len(cuff) == 1:
@@ -161,7 +168,8 @@ def _read_description(path: Path) -> Garment:
 def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n, 3) and triangles (t, 3), counted from 0."""
     vertices, triangles = [], []
-    for number, line in enumerate(path.read_text().splitlines(), 1):
+    text = path.read_text(errors="replace")  # comments may have any encoding
+    for number, line in enumerate(text.splitlines(), 1):
         kind, *words = line.split() or [""]
         if kind not in ("v", "f"):
             continue

@@ -158,6 +158,24 @@ def test_flags_of_some_environments(tmp_path, program):
             check_entries(dataclasses.replace(config, flags_of=(wrong,)), list_envs())
 
 
+def test_how_seeds_are_chosen(tmp_path, program):
+    config = SuiteConfig(
+        num_seeds=2, save_dir=str(tmp_path), clips=False, by="both", at_least=("held=0.9",)
+    )
+    check_entries(config, list_envs())
+    assert [x.problem for x in Runner(config, program).all(["ReachingJaco-v0"])] == [""]
+    select = calls(tmp_path)[-1][0]
+    assert select[select.index("--by") + 1] == "both" and "--at-least" not in select
+    commands = Runner(config, program)._commands("DressingJaco-v0")
+    assert commands[-1][-2:] == ["--at-least", "held=0.9"]
+    with pytest.raises(UnknownNameError, match=r"'hold'.*held"):
+        check_entries(dataclasses.replace(config, at_least=("hold=0.9",)), list_envs())
+    with pytest.raises(ConfigError, match=r"NAME=VALUE with numbers.*'held=much'"):
+        check_entries(dataclasses.replace(config, at_least=("held=much",)), list_envs())
+    with pytest.raises(ConfigError, match="--by is about the choice among seeds"):
+        SuiteConfig(num_seeds=1, by="both")
+
+
 def test_flags_of_several_environments_on_the_command_line(tmp_path, program):
     words = [
         "--only",

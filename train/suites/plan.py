@@ -5,12 +5,14 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 from agym_jax.errors import UnknownNameError, checked_count
 from agym_jax.flags import Count
+from agym_jax.registry import parse
+from agym_jax.spec import Measured
 
 from ..configs import entry_of
 from ..entries import entries
@@ -43,6 +45,11 @@ class SuiteConfig:
     several NAMEs fit an id, the longest counts."""
     default_settings: bool = False
     """Choose and evaluate in the environments with their default settings, even if flags change those of the training."""
+    by: Literal["auto", "success", "gentle", "both"] = "auto"
+    """What the chosen seed has most of, as in ``agym-jax select``."""
+    at_least: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    """What the mean of a task's own measures has to reach in chosen seeds, such as held=0.9, as in ``agym-jax select``; tasks that do
+    not have the measure are chosen without it."""
     shipped: bool = True
     """Also evaluate the policies that ship with agym_jax, on the people used for the report."""
     clips: bool = True
@@ -52,9 +59,11 @@ class SuiteConfig:
         """Reject invalid settings before anything is built."""
         for name in ("num_seeds", "num_episodes", "parallel"):
             checked_count(f"--{name.replace('_', '-')}", getattr(self, name))
-        if self.default_settings and self.num_seeds == 1:
+        choosing = {"default_settings": self.default_settings, "by": self.by != "auto", "at_least": self.at_least}  # fmt: skip
+        asked = [f"--{name.replace('_', '-')}" for name, given in choosing.items() if given]
+        if asked and self.num_seeds == 1:
             raise ConfigError(
-                "--default-settings is about the choice among seeds, and --num-seeds 1 leaves none. Leave one of them out."
+                f"{asked[0]} is about the choice among seeds, and --num-seeds 1 leaves none. Leave one of them out."
             )
         check_save_dir(self.save_dir)
 
@@ -98,13 +107,31 @@ def flags_for(config: SuiteConfig, env_name: str) -> list[str]:
     return _words("--flags", config.flags) + _words("--flags-of", own)
 
 
+def least_for(config: SuiteConfig, env_name: str) -> list[str]:
+    """Return the entries of ``at_least`` whose measure the environment's task has.
+
+    Raises:
+        ConfigError: if an entry is not of the form NAME=VALUE, with a number.
+    """
+    task = parse(env_name).task
+    names = {x.name for x in task.measures} if isinstance(task, Measured) else set()
+    needed = "NAME=VALUE with numbers, such as held=0.9"
+    found = entries("--at-least", config.at_least, needed)
+    for name, value in found.items():
+        try:
+            float(value)
+        except ValueError:
+            raise ConfigError(f"--at-least takes {needed}; got '{name}={value}'.") from None
+    return [f"{name}={value}" for name, value in found.items() if name in names]
+
+
 def steps_for(config: SuiteConfig, env_name: str) -> str | None:
     """Return the steps of an environment, by the longest NAME with which its id begins; None leaves them to the trainer."""
     return entry_of(steps_by_name(config), env_name, None)
 
 
 def check_entries(config: SuiteConfig, ids: Sequence[str]) -> None:
-    """Reject entries that cannot be read, or whose NAME begins no id, before anything is built.
+    """Reject entries that cannot be read, whose NAME begins no id, or that no task measures, before anything is built.
 
     Args:
         config: flags.
@@ -118,6 +145,11 @@ def check_entries(config: SuiteConfig, ids: Sequence[str]) -> None:
     for start in (*steps_by_name(config), *flags):
         if not any(name.startswith(start) for name in ids):
             raise UnknownNameError("environment", start, ids)
+    measured = {entry for name in ids for entry in least_for(config, name)}
+    if unknown := [x for x in config.at_least if x not in measured]:
+        tasks = [parse(name).task for name in ids]
+        names = {x.name for task in tasks if isinstance(task, Measured) for x in task.measures}
+        raise UnknownNameError("measure", unknown[0].partition("=")[0], sorted(names))
     _words("--flags", config.flags)
     for text in flags.values():
         _words("--flags-of", text)

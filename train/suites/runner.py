@@ -20,7 +20,7 @@ from agym_jax.registry import parse
 
 from ..runs.overview import JOURNAL, read_rows, selection_of
 from .children import Children, claim, own_program
-from .plan import SuiteConfig, flags_for, steps_for
+from .plan import SuiteConfig, flags_for, least_for, steps_for
 
 FILM = "clip.gif"
 PATIENCE = 60.0  # seconds for a training of an earlier session to save its state and end
@@ -133,6 +133,9 @@ class Runner:
         select = ["select", str(run), "--num-episodes", str(c.num_episodes), "--json", result]
         select += [] if c.shipped else ["--no-shipped"]
         select += ["--default-settings"] if c.default_settings else []
+        select += ["--by", c.by] if c.by != "auto" else []
+        least = least_for(c, env_name)
+        select += ["--at-least", *least] if least else []
         return [train, select] if c.num_seeds > 1 else [train]
 
     def _finished(self, env_name: str, commands: Sequence[Sequence[str]]) -> str:

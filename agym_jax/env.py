@@ -87,7 +87,7 @@ class AssistiveEnv:
     ):
         self.task, self.robot, self.active = task, robot, active
         self.comfort = comfort_limits(task)
-        self.humans = checked_population(humans)
+        self.humans = checked_population(humans, task.human.tremor_amplitude)
         self.variation = checked_variation(variation)
         self.memory = checked_memory(memory, task.control.period)
         self.changes = changes_of(task, self.humans, self.variation, self.memory)

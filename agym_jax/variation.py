@@ -23,7 +23,9 @@ RANGE = {
     "position_noise": (0.0, math.inf), "angle_noise": (0.0, math.inf), "force_noise": (0.0, math.inf),
 }  # fmt: skip
 """Smallest and largest values that a range may have; strength must exceed the smallest."""
-NOISE = {"m": "position_noise", "rad": "angle_noise", "1 (wxyz)": "angle_noise", "N": "force_noise"}
+NOISE = {
+    "m": "position_noise", "rad": "angle_noise", "1 (wxyz)": "angle_noise", "N": "force_noise", "AG's": "force_noise",
+}  # fmt: skip
 """Unit of an observation column -> the noise added to it. Columns of other units have no noise."""
 QUATERNION = "1 (wxyz)"
 BEYOND = 0x0B07
@@ -40,7 +42,7 @@ class RobotVariation:
         latency: delay of the robot's actions [control steps].
         position_noise: standard deviation of the noise on positions that the robot observes [m].
         angle_noise: standard deviation of the noise on observed joint angles and orientations [rad].
-        force_noise: standard deviation of the noise on observed forces [N].
+        force_noise: standard deviation of the noise on observed forces [N; on the gown's force, in AG's unit].
     """
 
     friction: tuple[float, float] = (1.0, 1.0)

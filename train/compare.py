@@ -16,11 +16,12 @@ import jax
 import numpy as np
 import tyro
 
-from agym_jax.data.npz import check_writable
+from agym_jax.data.npz import check_appendable
 from agym_jax.errors import checked_count
 from agym_jax.flags import Count, plain
+from agym_jax.policy.check import trained_otherwise
 
-from .envs import make_env
+from .envs import changed, make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
 from .evaluation.seed_scores import SeedScores, score_seeds
@@ -72,7 +73,7 @@ def main(
     config = tyro.cli(CompareConfig, prog=prog, args=arguments, description=plain(__doc__))
     runs = [Path(run).resolve() for run in config.runs]
     if config.json:
-        check_writable(Path(config.json).parent, "Choose another file with --json.")
+        check_appendable(config.json)
     env, first = load_seeds(runs[0], make, config.impl)
 
     def same(name: str, *_: Any, **__: Any) -> Any:
@@ -87,6 +88,9 @@ def main(
     scores = []
     for run, policies in zip(config.runs, (first, second), strict=True):
         say(f"{run}: {config.num_episodes} episodes of each seed")
+        otherwise = trained_otherwise(next(iter(policies.values())), env)
+        if otherwise:
+            say(f"{run} was trained otherwise: {otherwise}.")
         scores.append(score_seeds(evaluator, policies, key, report=say))
     for run, found in zip(config.runs, scores, strict=True):
         print(f"{run}\n{found.table()}")
@@ -102,8 +106,10 @@ def main(
     if config.json:
         sides = [found.summary() for found in scores]
         line = record(
-            "comparison", runs=list(config.runs), first=sides[0], second=sides[1], **better
-        )
+            "comparison", runs=list(config.runs), seed=config.seed,
+            impl=str(getattr(env, "impl", config.impl)), **changed(env),
+            first=sides[0], second=sides[1], **better,
+        )  # fmt: skip
         append_record(config.json, line)
     return 0
 

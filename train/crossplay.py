@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import jax
 import tyro
 
-from agym_jax.data.npz import check_writable
+from agym_jax.data.npz import check_appendable
 from agym_jax.errors import checked_count
 from agym_jax.flags import Count, command_words, first_paragraph
 from agym_jax.policy.agents import BASELINES, Baseline, Pair, parts
@@ -144,7 +144,7 @@ def run(config: CrossplayConfig, make: Callable[..., Any] = make_env) -> Matrix:
         PolicyEnvironmentError, PolicyLayoutError: if a policy does not fit; the message says what would.
     """
     if config.json:
-        check_writable(Path(config.json).parent, "Choose another file with --json.")
+        check_appendable(config.json)
     robot_files, humans_files = find_files(config)
     trained = [file for file in robot_files if file not in BASELINES]
     settings = settings_for((trained or robot_files)[0], config.env_name)

@@ -31,7 +31,7 @@ from agym_jax.registry import plain_id
 
 from .configs import config_for
 from .enjoy import Frame, caption
-from .envs import make_env
+from .envs import make_env, refuse_active_human
 from .errors import reports_errors
 from .evaluate import SAMPLED
 from .evaluation.evaluator import Evaluator
@@ -155,6 +155,7 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
 
     check_writable(config.out, "Choose another with --out.")
     env = make(config.env_name, "native")  # first: it knows which ids there are
+    refuse_active_human(env, False)
     path = find_policy(plain_id(config.env_name), None, config.policy)
     policy = load_policies(PolicyFiles(str(path), None), env)
     say(f"The trained policy helps {config.humans} people that it has not seen in training.")

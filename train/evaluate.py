@@ -9,12 +9,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import jax
 
-from agym_jax.data.npz import check_writable
+from agym_jax.data.npz import check_appendable
 from agym_jax.errors import checked_count
 from agym_jax.flags import Count, PolicyFlags, first_paragraph, parse_flags
 from agym_jax.policy.agents import BASELINES, AnyPolicy, baseline_policy
@@ -91,7 +90,7 @@ def main(
     """Run the command line and return the exit status."""
     config = parse_flags(EvaluateConfig, arguments, prog, first_paragraph(__doc__))
     if config.json:
-        check_writable(Path(config.json).parent, "Choose another file with --json.")
+        check_appendable(config.json)
     env, files = env_and_policies(config, config.impl, make)
     policy = load_policies(files, env, config.any_env, other_people=True)
     print(f"Policy: {', '.join(x for x in (files.robot, files.human) if x)}", flush=True)

@@ -20,7 +20,7 @@ import jax
 import tyro
 
 from agym_jax.changes import Changes, arguments_of
-from agym_jax.data.npz import check_writable, write_file
+from agym_jax.data.npz import check_appendable, write_file
 from agym_jax.errors import (
     PolicyEnvironmentError,
     PolicyLayoutError,
@@ -250,7 +250,7 @@ def main(
     run = Path(config.run).resolve()
     check(config)
     if config.json:
-        check_writable(Path(config.json).parent, "Choose another file with --json.")
+        check_appendable(config.json)
     env, policies = load_seeds(run, make, config.impl, config.default_settings)
     evaluator = Evaluator(env, config.num_episodes)
     scores, reported = select(evaluator, policies, config)

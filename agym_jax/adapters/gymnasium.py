@@ -127,6 +127,7 @@ class GymnasiumEnv(gymnasium.Env):
         return kept | {"_state": jax.device_get(self._state)}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
+        refuse_fork()
         vars(self).update(kept)
         self._programs, self._pictures = _programs(self._made_of), None
 

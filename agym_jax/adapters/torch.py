@@ -130,8 +130,8 @@ class TorchVectorEnv:
             Observations (num_envs, n_obs), and an info as returned by ``step``.
         """
         if seed is not None:
-            self._seeds = gymnasium.utils.seeding.np_random(seed)[0]
-            seeds = [seed + i for i in range(self.num_envs)]
+            self._seeds = gymnasium.utils.seeding.np_random(int(seed))[0]
+            seeds = [int(seed) + i for i in range(self.num_envs)]
         else:
             seeds = [int(x) for x in self._seeds.integers(2**31, size=self.num_envs)]
         if self.device.type == "cuda":  # JAX may take over memory that PyTorch's kernels still read

@@ -162,7 +162,7 @@ class GymnasiumVectorEnv(VectorEnv):
         elif seed is None:
             seeds = [int(x) for x in self.np_random.integers(2**31, size=self.num_envs)]
         else:
-            seeds = list(seed)
+            seeds = [None if one is None else int(one) for one in seed]
             if len(seeds) != self.num_envs:
                 raise ArgumentError(
                     f"{self.core.name} in a batch of {self.num_envs} takes one seed or {self.num_envs}, got {len(seeds)}."

@@ -121,7 +121,7 @@ def _fault(
 def write_arrays(
     path: Path, arrays: Mapping[str, Any], provenance: Mapping[str, Any] | None = None
 ) -> None:
-    """Write an asset, compressed.
+    """Write an asset, compressed, whole or not at all.
 
     Args:
         path: file to write; its folder is made if need be.
@@ -132,7 +132,9 @@ def write_arrays(
     content = {name: np.asarray(array) for name, array in arrays.items()}
     if provenance is not None:
         content[PROVENANCE] = np.array(json.dumps(provenance))
-    np.savez_compressed(path, allow_pickle=False, **content)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **content)
+    write_file(path, buffer.getvalue())
 
 
 def provenance_of(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -228,6 +230,30 @@ def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         raise DamagedFileError(f"{path} is damaged: its checksum does not match its content.")
     del content[META]
     return content, meta
+
+
+def check_appendable(file: Path | str, advice: str = "Choose another file with --json.") -> None:
+    """Create the folder of a file and prove that the file can be written to, without changing what is in it.
+
+    Args:
+        file: the file; it need not exist.
+        advice: what to do instead, for the error.
+
+    Raises:
+        SaveFolderError: it cannot; says why.
+    """
+    file = Path(file)
+    check_writable(file.parent, advice)
+    there = file.exists()
+    try:
+        file.open("a").close()
+        if not there:
+            file.unlink()
+    except OSError as error:
+        reason = "it is a folder" if file.is_dir() else error.strerror or error
+        raise SaveFolderError(
+            f"Cannot write to {str(file)!r}: {reason}. Nothing has been computed yet. {advice}"
+        ) from error
 
 
 def check_writable(folder: Path, advice: str = "Choose another with --save-dir.") -> None:

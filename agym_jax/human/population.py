@@ -110,16 +110,25 @@ class Population:
                 raise UnknownNameError("impairment", name, IMPAIRMENTS)
 
 
-def checked_population(humans: Any) -> Population:
+def checked_population(humans: Any, tremor_amplitude: float | None = None) -> Population:
     """Return the given population, or Assistive Gym's men and women if there is none.
 
+    Args:
+        humans: population.
+        tremor_amplitude: of the task's people [rad], if it is known.
+
     Raises:
-        ArgumentError: if it is not a ``Population``.
+        ArgumentError: if it is not a ``Population``, or is to tremble where nobody does.
     """
     if humans is not None and not isinstance(humans, Population):
         raise ArgumentError(
             f"humans must be a Population, got {humans!r}. Write from agym_jax.human.population import Population, "
             f'and humans=Population(sizes="continuous") for people of every size.'
+        )
+    if humans and tremor_amplitude == 0.0 and "tremor" in (humans.impairments or ()):
+        raise ArgumentError(
+            'Nobody trembles in this task, as the arm is limp: impairments must not contain "tremor", '
+            f"got {humans.impairments}. Leave it out, or use impairments=None for those of the task."
         )
     return humans or Population()
 

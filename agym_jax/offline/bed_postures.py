@@ -43,7 +43,7 @@ import numpy as np
 
 from agym_jax.data.assets import asset_path
 from agym_jax.data.npz import read_arrays
-from agym_jax.errors import AgymError, MissingPostureError, UnknownNameError
+from agym_jax.errors import AgymError, MissingPostureError, UnknownNameError, checked_count
 from agym_jax.human import body
 from agym_jax.human.model import build as build_human
 from agym_jax.human.muscles import DRAG
@@ -363,9 +363,13 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax postures") -> 
         command.add_argument("tasks", nargs="*", default=list(SCENARIOS), metavar="TASK")
     args = parser.parse_args(argv)
     try:
-        for name in args.tasks:
+        if args.command == "build":
+            checked_count("--each", args.each)
+            checked_count("--seed", args.seed, at_least=0)
+        for name in args.tasks:  # the last of them too, before the first is built
             if name not in SCENARIOS:
                 raise UnknownNameError("task on the bed", name, SCENARIOS)
+        for name in args.tasks:
             if args.command == "report":
                 compare(load_postures(name), name)
             else:

@@ -23,7 +23,7 @@ import numpy as np
 from jax import Array
 
 from agym_jax.data.npz import write_arrays
-from agym_jax.errors import AgymError, UnknownNameError
+from agym_jax.errors import AgymError, UnknownNameError, checked_count
 from agym_jax.math3d import rotation_matrix
 from agym_jax.matter.particles.fill import CONTENTS, DOWN, FillBank, fill_path
 from agym_jax.matter.particles.solver import Obstacles, Particles, ParticleSpec, advance
@@ -201,9 +201,12 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax particles") ->
     parser.add_argument("--rows", type=int, default=64)
     args = parser.parse_args(argv)
     try:
-        for name in args.vessels:
+        checked_count("--rows", args.rows)
+        checked_count("--seed", args.seed, at_least=0)
+        for name in args.vessels:  # the last of them too, before the first is built
             if name not in FILL_RECIPES:
                 raise UnknownNameError("vessel", name, FILL_RECIPES)
+        for name in args.vessels:
             bank, facts = build(name, args.seed, args.rows)
             command = f"agym-jax particles {name} --seed {args.seed} --rows {args.rows}"
             versions = {p: version(p) for p in ("jax", "numpy")}

@@ -172,6 +172,7 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax placements") -
                 _meet(name)
             return 0
         checked_count("--size", args.size)
+        checked_count("--seed", args.seed, at_least=0)
         for name in args.ids:
             _build(name, args.seed, args.size)
     except AgymError as error:

@@ -7,6 +7,8 @@ contact. The task succeeds when 30 % of the points have been wiped. Neither agen
 DEVIATION(wiper-shape): pad and plate are the rims of their lower faces, 1 mm thick; a sphere sinks 2 mm into the pad's
 face. All contacts of the pad with one limb count as one, at their centre of pressure: Bullet has one. It also counts
 contacts up to 0.6 mm apart, which bear no force: in the recorded presses AG wipes 0.83 points, ours 0.72.
+DEVIATION(wiper-force): an active person observes the force of the whole wiper, as a robot does, AG's person that of its pad. On chest, head and legs
+the wiper is its outline, all of whose force counts as not wanted; AG's pad is wanted there too, below 10 N.
 DEVIATION(bathing-tremor): a still person is welded to the bed, tremor included, as in AG.
 """
 

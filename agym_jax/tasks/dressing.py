@@ -12,6 +12,7 @@ DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and th
 keeps 40 mm from limbs, and from spheres at shoulder, elbow and wrist, whose distance it knows at points 0.25 m apart, linear in between: in the middle of a man's forearm it stays 54 to 73 mm
 from the axis (71 here), 51 to 83 mm from the middle of elbow and hand (81), and 34 to 47 mm 4 cm from the elbow (71); nearest in two recorded episodes, pressed: man 51, 43 and 25, woman 45, 40 and 12.
 With ``tapered_arms``, the arm is found by the same grid here, in a share of the episodes (``agym_jax.matter.cloth.grid``).
+DEVIATION(gown-on-human): the force on the person in the metrics, infos and evaluations is the robot's alone; AG's info adds the gown's, in its number.
 DEVIATION(dressing-limits): the joint limits of the person's arm hold here as in every task.
 """
 

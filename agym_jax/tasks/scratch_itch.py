@@ -185,7 +185,8 @@ class ScratchItch:
         state = _follow_limb(state, sensed)
         tool = sensed.tool
         near = jnp.linalg.norm(tool.touch_pos_w - state.target_pos_w, axis=-1) < c.target_radius
-        at_target = jnp.where(near, tool.touch_force, 0.0)
+        # the scratcher's tip and rod count, not its handle. AG get_total_force: links 0 and 1
+        at_target = jnp.where(near, tool.touch_force * tool.touch_working, 0.0)
         force = jnp.sum(at_target)
         point = tool.touch_pos_w[jnp.argmax(at_target)]
         moved = jnp.linalg.norm(point - state.last_scratch_w) > c.stroke

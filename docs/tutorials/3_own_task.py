@@ -18,7 +18,7 @@ print(env.changes)
 # %% [markdown]
 # A new task is a frozen dataclass with the methods described in [creating an environment](../create_an_environment.md). The quickest way is to
 # inherit from an existing task. In this example, the hand stays 10 cm in front of the mouth. Episodes start as in Reaching, so Reaching's
-# placement bank can be used.
+# placement bank can be used. It keeps the name Reaching for that: train it in a folder of its own, because policies of the two tasks are not told apart.
 
 # %%
 from agym_jax.tasks.reaching import Reaching, ReachState

@@ -18,8 +18,14 @@ from gymnasium.utils.env_checker import check_env
 from paths import PROCESS_SECONDS
 
 import agym_jax
+from agym_jax.adapters import common
 from agym_jax.adapters.gymnasium import GymnasiumEnv, RenderModeError, register_envs
-from agym_jax.errors import ActionError, AgymError, ImplementationError, UnknownNameError
+from agym_jax.errors import (
+    ActionError,
+    AgymError,
+    ImplementationError,
+    UnknownNameError,
+)
 from agym_jax.sim.physics import choose_impl
 
 NAME = "ScratchItchJaco-v0"
@@ -217,6 +223,13 @@ def test_a_copy_goes_on_as_the_original_would_and_by_itself(env: gymnasium.Env, 
         _same(env.step(action), found)
     np.testing.assert_array_equal(env.reset()[0], fresh)  # the next person too
     other.close()
+
+
+def test_a_copy_does_not_go_on_in_a_forked_process(env: gymnasium.Env, monkeypatch):
+    copied = pickle.dumps(env.unwrapped)
+    monkeypatch.setattr(common._Process, "pid", -1)  # as if another process had made it
+    with pytest.raises(common.ForkedProcessError, match="does not work in forked processes"):
+        pickle.loads(copied)
 
 
 def test_what_has_not_begun_can_be_copied():

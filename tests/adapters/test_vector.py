@@ -77,6 +77,11 @@ def test_episodes_are_those_of_one_environment_with_the_same_seed(envs):
 
 
 @pytest.mark.jit
+def test_seeds_may_be_an_array(envs):
+    one = envs.reset(seed=list(range(B)))[0]
+    assert np.array_equal(one, envs.reset(seed=np.arange(B))[0])
+
+
 def test_seeds_decide_every_environment(envs):
     first = envs.reset(seed=7)[0]
     again = envs.reset()[0]

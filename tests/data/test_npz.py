@@ -12,8 +12,15 @@ import numpy as np
 import pytest
 from paths import ROOT
 
-from agym_jax.data.npz import provenance_of, read_arrays, read_npz, write_arrays, write_npz
-from agym_jax.errors import AgymError, DamagedFileError
+from agym_jax.data.npz import (
+    check_appendable,
+    provenance_of,
+    read_arrays,
+    read_npz,
+    write_arrays,
+    write_npz,
+)
+from agym_jax.errors import AgymError, DamagedFileError, SaveFolderError
 from agym_jax.human.limits import load_arm_limits
 
 SHAPES = {"pos": ("rows", 3), "size": ("rows",), "scale": ()}
@@ -103,6 +110,16 @@ def test_a_member_that_is_no_array_is_refused(tmp_path: Path):
     (tmp_path / "x.npz").write_bytes(buffer.getvalue())
     with pytest.raises(BankError, match="damaged: pos is not an array"):
         read(tmp_path / "x.npz")
+
+
+def test_whether_a_file_can_be_added_to_shows_without_touching_it(tmp_path: Path):
+    new, old = tmp_path / "results" / "new.jsonl", tmp_path / "old.jsonl"
+    old.write_text("a line")
+    for file in (new, old, str(old)):
+        check_appendable(file)
+    assert not new.exists() and old.read_text() == "a line"
+    with pytest.raises(SaveFolderError, match=r"it is a folder.*Choose another file with --json"):
+        check_appendable(tmp_path)
 
 
 def test_one_module_reads_and_writes_arrays():

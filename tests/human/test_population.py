@@ -7,8 +7,14 @@ import jax
 import numpy as np
 import pytest
 
-from agym_jax.errors import UnknownNameError
-from agym_jax.human.population import IMPAIRMENTS, Human, Population, sample_human
+from agym_jax.errors import ArgumentError, UnknownNameError
+from agym_jax.human.population import (
+    IMPAIRMENTS,
+    Human,
+    Population,
+    checked_population,
+    sample_human,
+)
 
 N = 4096
 AMPLITUDE = np.deg2rad(10.0)
@@ -96,6 +102,14 @@ def test_people_of_both_kinds_are_drawn_as_those_of_each_kind():
         assert abs(np.corrcoef(average, other)[0, 1]) < 5 / np.sqrt(N)
     for name in ("strength", "limit_scale", "tremor"):
         np.testing.assert_array_equal(getattr(both, name), getattr(ag, name))
+
+
+def test_nobody_is_asked_to_tremble_with_a_limp_arm():
+    trembling = Population(impairments=("none", "tremor"))
+    assert checked_population(trembling, 0.1) is trembling
+    with pytest.raises(ArgumentError, match="Nobody trembles in this task"):
+        checked_population(trembling, 0.0)
+    assert checked_population(None, 0.0) == Population()  # the task's own are without
 
 
 def test_population_may_narrow_the_tasks_impairments():

@@ -25,6 +25,22 @@ from agym_jax.sim.scene import compose
 from agym_jax.tasks import TASKS as ALL_TASKS
 
 TRACES = Path(__file__).parents[2] / "benchmarks" / "parity" / "traces"
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--each", "0"], "--each must be a whole number of at least 1, got 0"),
+        (["--seed", "-1"], "--seed must be a whole number of at least 0, got -1"),
+        (["BedBathing", "Bathing"], "'Bathing'"),
+    ],
+)
+def test_what_cannot_be_built_is_refused_before_anything_is(words, text, monkeypatch, capsys):
+    monkeypatch.setattr(bed_postures, "_build", lambda *_: pytest.fail("built"))
+    assert bed_postures.main(["build", *words]) == 1
+    assert text in capsys.readouterr().err
+
+
 TASKS = tuple(bed_postures.SCENARIOS)
 EACH = 128
 ROWS = 6 * EACH

@@ -84,6 +84,17 @@ def touching(
     return sensed(touch | (tool or {}), **changes)
 
 
+def test_the_handle_does_not_scratch():
+    """AG counts contacts of two links of the scratcher, tip and rod."""
+    forces, places = np.array([0.0, 0.0, 5.0]), np.tile(TARGET_W, (3, 1))
+    for working, force in ((0.0, 0.0), (1.0, 5.0)):
+        tool = {"touch_force": forces, "touch_pos_w": places}
+        tool["touch_working"] = np.array([1.0, 1.0, working])
+        state, events = TASK.advance(itch(), touching(5.0, tool=tool))
+        assert float(state.force_at_target) == float(events["scratch"]) == force
+        assert float(state.scratches) == working
+
+
 def test_targets_lie_on_the_skin_of_either_limb():
     keys = jax.random.split(jax.random.PRNGKey(0), 2000)
     s = jax.device_get(jax.vmap(lambda k: TASK.init(k, sensed()))(keys))

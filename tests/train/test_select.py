@@ -185,10 +185,20 @@ def test_what_has_learned_is_better_than_what_has_not(runs, tmp_path, capsys):
     assert compare.main([long, short, "--num-episodes", "64", "--json", str(file)], make) == 0
     line = json.loads(file.read_text())
     assert line["returns"] == {"probability": 1.0, "low": 1.0, "high": 1.0}
+    assert line["seed"] == 1001 and "impl" in line
     assert line["first"]["return_iqm"] > line["second"]["return_iqm"]
     assert "has a higher return than one of the second with prob" in capsys.readouterr().out
     assert compare.main([short, short, "--num-episodes", "64"], make) == 0
     assert "a higher return than one of the second with probability 50%" in capsys.readouterr().out
+
+
+def test_a_file_of_results_that_cannot_be_written_is_refused_before_anything_is_evaluated(
+    runs, tmp_path, capsys
+):
+    short = str(runs[0])
+    for command in ([compare, [short, short]], [select, [short]]):
+        assert command[0].main([*command[1], "--json", str(tmp_path)], make) == 2
+        assert "it is a folder. Nothing has been computed yet" in capsys.readouterr().err
 
 
 def test_runs_without_any_difference_are_called_equal(monkeypatch, runs, capsys):

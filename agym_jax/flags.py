@@ -10,14 +10,16 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
+from agym_jax.changes import change_task
 from agym_jax.errors import MissingExtraError, UnknownNameError
 from agym_jax.human.population import Population
 from agym_jax.memory import MEMORY
 from agym_jax.registry import parse
+from agym_jax.spec import Task
 from agym_jax.variation import RobotVariation
 
 try:
@@ -109,14 +111,23 @@ Flags = TypeVar("Flags", bound=EnvFlags)
 def task_config(env_name: str) -> Any:
     """Return the settings of an environment's task; None if it has none, or there is no such environment."""
     try:
-        config = getattr(parse(env_name).task, "config", None)
+        return task_config_of(parse(env_name).task)
     except UnknownNameError:
         return None  # who makes the environment says so
+
+
+def task_config_of(task: Task) -> Any:
+    """Return the settings of a task; None if it has none."""
+    config = getattr(task, "config", None)
     return config if dataclasses.is_dataclass(config) else None
 
 
 def parse_flags(
-    kind: type[Flags], arguments: Sequence[str] | None, prog: str, description: str | None = None
+    kind: type[Flags],
+    arguments: Sequence[str] | None,
+    prog: str,
+    description: str | None = None,
+    settings: Mapping[str, Any] | None = None,
 ) -> Flags:
     """Parse settings from command-line arguments, including the flags of the task that they name.
 
@@ -125,10 +136,15 @@ def parse_flags(
         arguments: command-line arguments; None for those of this process.
         prog: program name shown in the help.
         description: description shown in the help.
+        settings: arguments of ``agym_jax.make`` that the flags have by default, such as those of a policy's training.
     """
     words = command_words(arguments)
-    usual = kind()
-    default = dataclasses.replace(usual, task=task_config(env_name_in(words, usual.env_name)))
+    usual, others = kind(), dict(settings or {})
+    env_name = env_name_in(words, usual.env_name)
+    task, changed = task_config(env_name), others.pop("config", None)
+    if task is not None and changed:
+        task = task_config_of(change_task(parse(env_name).task, changed, None))
+    default = dataclasses.replace(usual, task=task, **others)
     return tyro.cli(kind, prog=prog, description=description, args=words, default=default)
 
 

@@ -112,6 +112,7 @@ def main(argv: Sequence[str] | None = None, prog: str = "agym-jax view") -> int:
     config = parse_flags(ViewConfig, argv, prog, does)
     try:
         check(config)
+        config = parse_flags(ViewConfig, argv, prog, does, policy_settings(config))
         run(config)
     except AgymError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
@@ -134,14 +135,13 @@ def run(config: ViewConfig) -> None:
 
     jax.config.update("jax_platforms", "cpu")  # one environment: an accelerator would be slower
     import agym_jax
-    from agym_jax.policy.check import settings_for, trained_otherwise
+    from agym_jax.policy.check import trained_otherwise
     from agym_jax.policy.files import load_policies
     from agym_jax.viewer.picture import Picture
     from agym_jax.viewer.serve import close_server, open_server
 
     files = policy_files(config, say)
-    trained = settings_for(files.robot, config.env_name) if files else {}
-    env = agym_jax.make(config.env_name, impl="native", **{**trained, **config.options()})
+    env = agym_jax.make(config.env_name, impl="native", **config.options())
     policy = load_policies(files, env, config.any_env, other_people=True) if files else None
     if policy and (otherwise := trained_otherwise(policy, env)):
         say(f"Differs from training: {otherwise}.")
@@ -198,6 +198,18 @@ def serve(
     page = Page(stage, picture)
     say("Ready.")
     page.run()
+
+
+def policy_settings(config: ViewConfig) -> dict[str, Any]:
+    """Return the ``agym_jax.make`` arguments of the environment that the policy is for, which hold where no flag says otherwise.
+
+    Raises:
+        AgymError: if a requested policy does not exist.
+    """
+    from agym_jax.policy.check import settings_for
+
+    files = policy_files(config, lambda _: None)
+    return settings_for(files.robot, config.env_name) if files else {}
 
 
 def policy_files(config: ViewConfig, say: Say) -> PolicyFiles | None:

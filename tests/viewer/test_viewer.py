@@ -236,6 +236,18 @@ def test_settings_are_the_policys_where_nothing_else_is_asked_for(tmp_path, monk
     assert said in capsys.readouterr().out
 
 
+def test_flags_come_before_the_settings_of_the_policy(tmp_path, monkeypatch):
+    policy = load_policy(ID)
+    changes = {"task.scratch": 3.0, "humans.sizes": "continuous"}
+    info = {**policy.info, "changes": changes, "meant_for": changes}
+    save_policy(tmp_path / "mine.npz", dataclasses.replace(policy, info=info))
+    words = [ID, "--policy", str(tmp_path / "mine.npz")]
+    env = shown(monkeypatch, *words, "--humans.sizes", "ag", "--any-env", "--task.scratch", "2")
+    assert env.changes == {}  # they are the defaults, and asked for
+    env = shown(monkeypatch, *words, "--any-env", "--task.preferences.velocity", "0.5")
+    assert env.changes == changes | {"task.preferences.velocity": 0.5}  # the others stay
+
+
 def test_policies_sample_as_in_enjoy(stage: Stage):
     act = baseline_policy("random", stage.env.action_size)
     driver = Driver(stage.env, act, deterministic=False)

@@ -177,8 +177,8 @@ def endings(folder: Path = RESULTS) -> str:
     """How the episodes end that fail."""
 
     def ways(line: Line) -> str:
-        total = sum(line["failures"].values())
-        return ", ".join(f"{words} {n / total:.0%}" for words, n in line["failures"].items())
+        found = sorted(line["failures"].items(), key=lambda x: -x[1])
+        return ", ".join(f"{words} {n}" for words, n in found)
 
     lines = read_results("endings", ("env",), folder)
     columns = {

@@ -251,6 +251,8 @@ def watch(env: Any, frames: Iterator[Frame], visuals: str) -> list[Frame]:
     try:
         import mujoco.viewer
 
+        from agym_jax.rendering.render import add_markers
+
         first = next(frames)
         model, data = env.to_mujoco(first.state, visuals)
         handle = mujoco.viewer.launch_passive(model, data)
@@ -265,6 +267,8 @@ def watch(env: Any, frames: Iterator[Frame], visuals: str) -> list[Frame]:
             due = time.monotonic() + env.dt
             with viewer.lock():
                 env.write_mujoco(frame.state, data, model)
+                viewer.user_scn.ngeom = 0
+                add_markers(viewer.user_scn, env.markers(frame.state))
             viewer.sync()
             seen.append(frame)
             if not viewer.is_running():

@@ -32,6 +32,7 @@ __all__ = [
     "RenderFallbackWarning",
     "Renderer",
     "UnknownCameraError",
+    "add_markers",
 ]
 
 BACKENDS = ("auto", "gl", "raycast")
@@ -152,6 +153,20 @@ def _open_context(width: int, height: int) -> tuple[Any, str]:
     raise RenderBackendError("; ".join(reasons) or "MUJOCO_GL disables it")
 
 
+def add_markers(scene: mujoco.MjvScene, markers: Sequence[Marker]) -> None:
+    """Add spheres to a scene of MuJoCo, as many as it has room for."""
+    for marker in markers[: scene.maxgeom - scene.ngeom]:
+        mujoco.mjv_initGeom(
+            scene.geoms[scene.ngeom],
+            mujoco.mjtGeom.mjGEOM_SPHERE,
+            np.full(3, marker.radius, dtype=float),
+            np.asarray(marker.pos, dtype=float),
+            np.eye(3).reshape(-1),
+            np.asarray(marker.rgba, dtype=np.float32),
+        )
+        scene.ngeom += 1
+
+
 class _GLBackend:
     """OpenGL through MuJoCo's classic renderer."""
 
@@ -171,16 +186,7 @@ class _GLBackend:
     def draw(
         self, data: mujoco.MjData, view: mujoco.MjvScene, markers: Sequence[Marker]
     ) -> np.ndarray:
-        for marker in markers:
-            mujoco.mjv_initGeom(
-                view.geoms[view.ngeom],
-                mujoco.mjtGeom.mjGEOM_SPHERE,
-                np.full(3, marker.radius, dtype=float),
-                np.asarray(marker.pos, dtype=float),
-                np.eye(3).reshape(-1),
-                np.asarray(marker.rgba, dtype=np.float32),
-            )
-            view.ngeom += 1
+        add_markers(view, markers)
         self._gl.make_current()
         mujoco.mjr_render(self._rect, view, self._context)
         out = np.empty((self._rect.height, self._rect.width, 3), np.uint8)

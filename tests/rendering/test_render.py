@@ -339,3 +339,13 @@ def test_rendering_exports_are_imported_at_first_use():
     assert not done.returncode, done.stderr
     with pytest.raises(AttributeError, match="no attribute 'Rendrer'"):
         rendering.Rendrer  # noqa: B018
+
+
+def test_markers_are_added_to_a_scene_as_far_as_there_is_room():
+    scene = mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), maxgeom=2)
+    marker = Marker(np.array([1.0, 2.0, 3.0]), 0.01, (0.0, 1.0, 0.0, 1.0))
+    render.add_markers(scene, [marker] * 3)
+    assert scene.ngeom == 2
+    np.testing.assert_allclose(scene.geoms[1].pos, [1, 2, 3])
+    np.testing.assert_allclose(scene.geoms[1].size, 0.01)
+    np.testing.assert_allclose(scene.geoms[1].rgba, [0, 1, 0, 1])

@@ -155,8 +155,8 @@ def run(config: DemoConfig, make: Callable[[str, str], Any] = make_env) -> None:
 
     check_writable(config.out, "Choose another with --out.")
     env = make(config.env_name, "native")  # first: it knows which ids there are
-    refuse_active_human(env, False)
     path = find_policy(plain_id(config.env_name), None, config.policy)
+    refuse_active_human(env, False)
     policy = load_policies(PolicyFiles(str(path), None), env)
     say(f"The trained policy helps {config.humans} people that it has not seen in training.")
     recorder = Recorder()

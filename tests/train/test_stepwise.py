@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 from fake_env import FakeEnv
+from fake_pair_env import FakePairEnv
 
 from agym_jax.policy import baseline_policy
 from train.configs import PPOConfig
@@ -63,6 +64,12 @@ def test_another_batch_size_is_refused(stepwise):
     _, venv = stepwise
     with pytest.raises(ConfigError, match="compiled for 16 environments, not 32"):
         train(venv, dataclasses.replace(CONFIG, num_envs=32))
+
+
+def test_the_demo_is_of_robots_alone(capsys, tmp_path):
+    words = ["--env-name", "FeedingJacoHuman-v0", "--out", str(tmp_path)]
+    assert demo(words, make=lambda *_: FakePairEnv()) == 2
+    assert "act together" in capsys.readouterr().err
 
 
 def test_demo_without_a_policy_says_how_to_train_one(tmp_path, capsys):

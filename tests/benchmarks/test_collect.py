@@ -141,10 +141,12 @@ def test_a_suite_is_kept_as_a_whole_with_its_time(runs, repository, capsys):
     assert line["suite"] == {"seconds": 62, "process_seconds": 62, "gpus": 1} == other["suite"]
     assert line["training"]["num_env_steps"] == 960 and "curve" not in line["training"]
     assert not lines(repository, "selection")
-    table = policy_tables.suite(repository / "results")
-    assert "2 environments" in table and "evaluated in 1:02 on 1 GPU, by" in table
+    for kind, name in ((policy_tables.suite, ALONE), (policy_tables.suite_pairs, PAIR)):
+        table = kind(repository / "results")
+        assert name in table and "evaluated in 1:02 on 1 GPU, by" in table
+        assert "1 environments" in table
     newer = {**line, "time": "2099", "suite": {**line["suite"], "seconds": 125}}
-    collecting.put("suite", newer, ("env", "time"))  # of a newer suite, with fewer environments
+    collecting.put("suite", newer, ("env", "time"))  # of a newer suite
     table = policy_tables.suite(repository / "results")
     assert "1 environments" in table and "2:05" in table and PAIR not in table
 

@@ -178,7 +178,7 @@ def endings(folder: Path = RESULTS) -> str:
 
     def ways(line: Line) -> str:
         found = sorted(line["failures"].items(), key=lambda x: -x[1])
-        return ", ".join(f"{words} {n}" for words, n in found)
+        return ", ".join(f"{words} ({n})" for words, n in found)
 
     lines = read_results("endings", ("env",), folder)
     columns = {

@@ -70,7 +70,7 @@ class Outcome:
             found.append(("time to success [s]", f"{self.median_time:9.1f}   median; 90 % within {high:.1f}"))  # fmt: skip
         if self.failures:
             total = sum(self.failures.values())
-            each = ", ".join(f"{words} {n}" for words, n in self.failures.items())
+            each = ", ".join(f"{words} ({n})" for words, n in self.failures.items())
             found.append(("episodes that fail", f"{total:9d}   {each}"))
         return found
 

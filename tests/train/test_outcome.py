@@ -149,7 +149,10 @@ def test_failed_episodes_are_told_apart_by_how_they_end():
     times = np.array([3.0, *[np.nan] * 5])  # the first one succeeds
     end = Outcome(measures, values, times, endings)
     assert end.failures == {"spilled": 2, "nothing": 2, "rest": 1}  # each counts once
-    assert dict(end.rows())["episodes that fail"].split("   ")[-1] == "spilled (2), nothing (2), rest (1)"
+    assert (
+        dict(end.rows())["episodes that fail"].split("   ")[-1]
+        == "spilled (2), nothing (2), rest (1)"
+    )
     assert end.summary()["failures"] == end.failures
     assert "failures" not in Outcome(measures, values, times).summary()
     assert not Outcome(measures, values, np.ones(6), endings).failures

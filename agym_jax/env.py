@@ -373,7 +373,7 @@ class AssistiveEnv:
         """Return one environment as a C MuJoCo model and data, with all visual geometry.
 
         Args:
-            state: state of one environment (of a batch, ``agym_jax.state.drawn_of(state, i)``).
+            state: state of one environment (of a batch, ``drawn_of(drawable(state), i)`` of ``agym_jax.state``).
             visuals: appearance of the robot: ``"primitives"``, or ``"meshes"`` from other packages, see
                 ``agym_jax.rendering.meshes``.
 

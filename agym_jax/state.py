@@ -182,18 +182,18 @@ def begun(state: State, resets: list[tuple[Any, dict[str, Any]]]) -> State:
     return state.replace(**jax.tree.map(written, old, *parts))
 
 
-def drawn_of(state: Any, index: int) -> Any:
-    """Return what pictures of one environment of a batch need of its state, in NumPy.
+def drawable(state: Any) -> dict[str, Any]:
+    """Return what pictures need of a batch's state, in NumPy.
 
     A state of a batch cannot be indexed as a whole with every physics: some of Warp's buffers are shared by all environments.
-
-    Args:
-        state: of a batch.
-        index: of the environment.
     """
     data = {name: getattr(state.data, name) for name in ("qpos", "qvel")}
-    tree = {"task": state.task, "episode": state.episode, "data": data}
-    one = jax.tree.map(lambda x: np.asarray(x)[index], jax.device_get(tree))
+    return jax.device_get({"task": state.task, "episode": state.episode, "data": data})
+
+
+def drawn_of(batch: dict[str, Any], index: int) -> Any:
+    """Return the part of one environment of ``drawable``, as ``AssistiveEnv.to_mujoco`` and ``markers`` take it."""
+    one = jax.tree.map(lambda x: x[index], batch)
     return SimpleNamespace(**one | {"data": SimpleNamespace(**one["data"])})
 
 

@@ -23,7 +23,7 @@ from benchmarks.markdown import (
     several,
     table,
 )
-from train.evaluation.outcome import in_words
+from train.evaluation.outcome import in_words, ways_in_words
 from train.evaluation.people import LEAST
 from train.evaluation.statistics import iqm
 
@@ -175,17 +175,12 @@ def care(folder: Path = RESULTS) -> str:
 
 def endings(folder: Path = RESULTS) -> str:
     """How the episodes end that fail."""
-
-    def ways(line: Line) -> str:
-        found = sorted(line["failures"].items(), key=lambda x: -x[1])
-        return ", ".join(f"{words} ({n})" for words, n in found)
-
     lines = read_results("endings", ("env",), folder)
     columns = {
         "environment": ORDER,
         "episodes": lambda x: f"{x['episodes']:,}",
         "fail": lambda x: f"{sum(x['failures'].values()):,}",
-        "of these, how they end": ways,
+        "of these, how they end": lambda x: ways_in_words(x["failures"]),
     }
     return table([x for x in lines if x["failures"]], columns, ORDER, "Mode;")
 

@@ -11,10 +11,10 @@ physics step; over a control step it would be averaged out.
 from __future__ import annotations
 
 import heapq
+import itertools
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,16 +23,14 @@ import numpy as np
 import tyro
 from rich.progress import track
 
-from agym_jax.errors import AgymError, ArgumentError
+from agym_jax.errors import ArgumentError
 from agym_jax.flags import Count
 from agym_jax.human.regions import NAMES
 from agym_jax.policy.files import find_policies, load_policies
-from agym_jax.policy.policy import shipped
 from agym_jax.sim.impulse import Balance, watch
-from benchmarks.keep import keep
+from benchmarks.keep import keep_of_shipped
 from train.envs import make_env
 from train.evaluation.evaluator import AT_ONCE, Evaluator
-from train.suites.plan import named
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,8 @@ class Hardest:
 
     def __init__(self, count: int, length: int):
         self.count, self.length, self.seen = count, length, 0
-        self.kept: list[tuple[float, int, int, Any]] = []  # peak [N], order, region, state
+        self.kept: list[tuple[float, int, int, Any]] = []  # peak [N], number, region, state
+        self._numbers = itertools.count()  # two peaks may be equal, states have no order
         self._before: Any = None
 
     def __call__(self, state: Any) -> None:
@@ -75,7 +74,7 @@ class Hardest:
                 if peak <= 0.0 or (len(self.kept) == self.count and peak <= self.kept[0][0]):
                     break
                 before = jax.tree.map(lambda x, row=row: x[row], self._before)
-                entry = (peak, -len(peaks) * self.seen - int(row), int(peaks[row].argmax()), before)
+                entry = (peak, next(self._numbers), int(peaks[row].argmax()), before)
                 push = heapq.heappushpop if len(self.kept) == self.count else heapq.heappush
                 push(self.kept, entry)
         self._before, self.seen = state, self.seen + 1
@@ -141,13 +140,7 @@ def measure(env_name: str, config: CausesConfig) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status, 2 if something could not be measured."""
     config = tyro.cli(CausesConfig, prog="python -m benchmarks.causes", args=arguments)
-    try:
-        ids = named(config.only, shipped(), "shipped policy")
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    results = [keep("causes", partial(measure, name, config), config.json) for name in ids]
-    return 2 if None in results else 0
+    return keep_of_shipped("causes", config.only, lambda name: measure(name, config), config.json)
 
 
 if __name__ == "__main__":

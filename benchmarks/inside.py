@@ -12,7 +12,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,16 +21,13 @@ import numpy as np
 import tyro
 from rich.progress import track
 
-from agym_jax.errors import AgymError
 from agym_jax.flags import Count
 from agym_jax.policy.files import find_policies, load_policies
-from agym_jax.policy.policy import shipped
 from agym_jax.sim.scene import compose
 from agym_jax.spec import Pose
-from benchmarks.keep import keep
+from benchmarks.keep import keep_of_shipped
 from benchmarks.reach import DEEPEST, moving_parts
 from train.envs import make_env
-from train.suites.plan import named
 
 EVERY = 5
 """Control steps from one look to the next."""
@@ -129,13 +125,7 @@ def measure(env_name: str, config: InsideConfig) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit status, 2 if something could not be measured."""
     config = tyro.cli(InsideConfig, prog="python -m benchmarks.inside", args=arguments)
-    try:
-        ids = named(config.only, shipped(), "shipped policy")
-    except AgymError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    results = [keep("inside", partial(measure, name, config), config.json) for name in ids]
-    return 2 if None in results else 0
+    return keep_of_shipped("inside", config.only, lambda name: measure(name, config), config.json)
 
 
 if __name__ == "__main__":

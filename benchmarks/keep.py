@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from agym_jax.errors import AgymError
+from agym_jax.policy.policy import shipped
+from train.suites.plan import named
 
 
 def keep(
@@ -34,3 +37,26 @@ def keep(
 
         append_record(json, record(kind, **fields))
     return fields
+
+
+def keep_of_shipped(
+    kind: str, only: Sequence[str], measure: Callable[[str], Mapping[str, Any]], json: Path | None
+) -> int:
+    """Measure policies that ship, one after another, and keep each result as ``keep`` does.
+
+    Args:
+        kind: of the result lines.
+        only: parts of ids; without them, all.
+        measure: gives the fields of an environment's line.
+        json: the file; None keeps nothing.
+
+    Returns:
+        The exit status: 2 if a name is wrong, or something could not be measured.
+    """
+    try:
+        ids = named(only, shipped(), "shipped policy")
+    except AgymError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    results = [keep(kind, partial(measure, name), json) for name in ids]
+    return 2 if None in results else 0

@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -28,6 +27,7 @@ from agym_jax.flags import Count, command_words, first_paragraph
 from agym_jax.policy.agents import baseline_policy
 from agym_jax.policy.files import PolicyFiles, find_policy, load_policies
 from agym_jax.registry import plain_id
+from agym_jax.state import drawable, drawn_of
 
 from .configs import config_for
 from .enjoy import Frame, caption
@@ -78,24 +78,21 @@ class Recorder:
     """Records what is needed to render every environment at every step."""
 
     def __init__(self) -> None:
-        self._states: list[Any] = []
+        self._states: list[tuple[Any, Any]] = []
 
     def __call__(self, state: Any) -> None:
         """Record the state of all environments."""
-        data = {name: getattr(state.data, name) for name in ("qpos", "qvel")}
-        kept = {name: getattr(state, name) for name in ("task", "episode", "reward", "metrics")}
-        self._states.append(jax.device_get({"data": data, **kept}))
+        self._states.append((drawable(state), jax.device_get((state.reward, state.metrics))))
 
     def frames(self, world: int) -> Iterator[Frame]:
         """Yield the first episode of one environment without its last step, after which the next episode has begun."""
         total = 0.0
-        for step, states in enumerate(self._states[:-1]):
-            one = jax.tree.map(lambda leaf: leaf[world], states)
-            total += float(one["reward"])
-            force = float(one["metrics"].get(FORCE_KEY, 0.0)) if step else 0.0
-            success = bool(one["metrics"].get("success", 0.0) > 0.5) if step else False
-            state = SimpleNamespace(**one | {"data": SimpleNamespace(**one["data"])})
-            yield Frame(state, step, total, force, success, False)
+        for step, (batch, measured) in enumerate(self._states[:-1]):
+            reward, metrics = jax.tree.map(lambda leaf: leaf[world], measured)
+            total += float(reward)
+            force = float(metrics.get(FORCE_KEY, 0.0)) if step else 0.0
+            success = bool(metrics.get("success", 0.0) > 0.5) if step else False
+            yield Frame(drawn_of(batch, world), step, total, force, success, False)
 
 
 def make_film(env: Any, frames: Sequence[Frame], out: Path, seconds: float) -> tuple[Path, Path]:

@@ -33,7 +33,7 @@ from agym_jax.policy.agents import AnyPolicy
 from agym_jax.policy.files import FILE_NAMES, find_policies, load_policies, load_policy
 from agym_jax.policy.policy import read_policy, save_policy
 
-from .entries import entries
+from .entries import AT_LEAST, numbers
 from .envs import changed, make_env
 from .errors import ConfigError, reports_errors
 from .evaluation.evaluator import Evaluator
@@ -152,14 +152,10 @@ def limits(config: SelectConfig, env: Any) -> dict[str, float]:
         UnknownNameError: if the task does not have the measure.
     """
     known = [x.name for x in getattr(getattr(env, "task", None), "measures", ())]
-    needed, found = "NAME=VALUE, such as held=0.9", {}
-    for name, text in entries("--at-least", config.at_least, needed).items():
+    found = numbers("--at-least", config.at_least, AT_LEAST)
+    for name in found:
         if name not in known:
             raise UnknownNameError(f"measure of {env.name}", name, known)
-        try:
-            found[name] = float(text)
-        except ValueError:
-            raise ConfigError(f"--at-least takes {needed}; got {name}={text}.") from None
     return found
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from agym_jax.errors import UnknownNameError, checked_count
 from agym_jax.flags import Count, EnvFlags, parse_flags, plain
 
 from .configs import LearnConfig, PPOConfig, config_for
+from .entries import entries
 from .envs import make_env, refuse_active_human
 from .errors import ConfigError, check_save_dir, reports_errors
 from .evaluation.statistics import bootstrap_interval, iqm
@@ -84,19 +86,15 @@ def parse_grid(grid: Sequence[str], random: int = 0, seed: int = 0) -> list[Sett
         ConfigError: if an entry is not of the form NAME=A,B,..., or there is nothing to compare.
     """
     axes: dict[str, list[float]] = {}
-    for entry in grid:
-        name, _, values = entry.partition("=")
-        name = name.replace("-", "_")
+    needed = "NAME=A,B,... with numbers"
+    named = [re.sub("^[^=]*", lambda name: name[0].replace("-", "_"), entry) for entry in grid]
+    for name, values in entries("--grid", named, needed).items():
         if name not in SWEPT:
             raise UnknownNameError("hyperparameter to sweep", name, SWEPT)
-        if name in axes:
-            raise ConfigError(
-                f"--grid has {name} twice; give all of its values at once: {name}=A,B,..."
-            )
         try:
             axes[name] = [float(x) for x in values.split(",")]
         except ValueError:
-            raise ConfigError(f"--grid takes NAME=A,B,... with numbers, got {entry!r}.") from None
+            raise ConfigError(f"--grid takes {needed}; got '{name}={values}'.") from None
     settings = [dict(zip(axes, x, strict=True)) for x in itertools.product(*axes.values())]
     if 0 < random < len(settings):
         chosen = np.random.default_rng(seed).permutation(len(settings))[:random]

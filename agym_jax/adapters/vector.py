@@ -34,7 +34,7 @@ from agym_jax.adapters.common import (
 )
 from agym_jax.errors import ArgumentError, checked_count
 from agym_jax.human.population import Population
-from agym_jax.state import drawn_of
+from agym_jax.state import drawable, drawn_of
 from agym_jax.variation import RobotVariation
 from agym_jax.wrappers import vectorize
 
@@ -199,7 +199,8 @@ class GymnasiumVectorEnv(VectorEnv):
         """Return an image of each environment, uint8 (height, width, 3), or None if made without a render mode."""
         if self.render_mode is None:
             return None
-        return tuple(self._picture(drawn_of(self.state, i)) for i in range(self.num_envs))
+        batch = drawable(self.state)
+        return tuple(self._picture(drawn_of(batch, i)) for i in range(self.num_envs))
 
     def _picture(self, state: Any) -> np.ndarray:
         renderer, _, data = self._view.renderer(self.core, state)

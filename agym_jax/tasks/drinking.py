@@ -35,17 +35,7 @@ from agym_jax.matter.particles.solver import WATER, Contact, Particles, Particle
 from agym_jax.matter.shapes import no_boxes
 from agym_jax.preferences import MEAL_TERMS, PREFERENCE_TERMS, meal_terms, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import (
-    Control,
-    Ending,
-    Goal,
-    HumanSpec,
-    Measure,
-    Pose,
-    Preferences,
-    SeatSpec,
-    ToolSpec,
-)
+from agym_jax.spec import Control, Goal, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared import meals
 from agym_jax.tasks.shared.meals import Outcome
 
@@ -143,11 +133,7 @@ class Drinking:
         Measure("drunk", "1", "share of the water that is drunk"),
         Measure("spilled", "1", "share of the water that is spilled, on the person too"),
     )
-    endings: tuple[Ending, ...] = (
-        Ending("more than a quarter spilled", "spilled", low=0.26),
-        Ending("nothing drunk", "drunk", high=0.01),
-        Ending("water left in the cup", "drunk"),
-    )
+    endings: meals.Endings = meals.endings("drunk", "water left in the cup")  # noqa: RUF009 (a tuple)
     robot_obs: type = meals.RobotObs
     human_obs: type = meals.HumanObs
 

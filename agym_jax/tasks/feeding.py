@@ -28,17 +28,7 @@ from agym_jax.matter.particles.solver import FOOD, Contact, Particles, ParticleS
 from agym_jax.matter.shapes import Boxes
 from agym_jax.preferences import MEAL_TERMS, PREFERENCE_TERMS, meal_terms, preference_terms
 from agym_jax.sense import Sensed
-from agym_jax.spec import (
-    Control,
-    Ending,
-    Goal,
-    HumanSpec,
-    Measure,
-    Pose,
-    Preferences,
-    SeatSpec,
-    ToolSpec,
-)
+from agym_jax.spec import Control, Goal, HumanSpec, Measure, Pose, Preferences, SeatSpec, ToolSpec
 from agym_jax.tasks.shared import meals
 from agym_jax.tasks.shared.meals import Outcome
 
@@ -131,11 +121,7 @@ class Feeding:
         Measure("eaten", "1", "share of the food that is eaten"),
         Measure("spilled", "1", "share of the food that is spilled"),
     )
-    endings: tuple[Ending, ...] = (
-        Ending("more than a quarter spilled", "spilled", low=0.26),
-        Ending("nothing eaten", "eaten", high=0.01),
-        Ending("food left on the spoon", "eaten"),
-    )
+    endings: meals.Endings = meals.endings("eaten", "food left on the spoon")  # noqa: RUF009 (a tuple)
     robot_obs: type = meals.RobotObs
     human_obs: type = meals.HumanObs
 

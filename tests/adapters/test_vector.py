@@ -20,7 +20,7 @@ import agym_jax
 from agym_jax.adapters.vector import GymnasiumVectorEnv
 from agym_jax.errors import ActionError, AgymError, ArgumentError, ImplementationError
 from agym_jax.human.population import Population
-from agym_jax.state import drawn_of
+from agym_jax.state import drawable, drawn_of
 from agym_jax.wrappers import available_cores
 
 NAME = "ReachingJaco-v0"
@@ -127,7 +127,7 @@ def test_a_state_with_shared_buffers_can_be_drawn():
     """Warp's data has leaves without an axis of environments."""
     data = SimpleNamespace(qpos=np.eye(3), qvel=2 * np.eye(3), nacon=np.zeros(1))
     batch = SimpleNamespace(data=data, task={"a": np.arange(3)}, episode={"b": np.arange(3)})
-    one = drawn_of(batch, 2)
+    one = drawn_of(drawable(batch), 2)
     assert (one.task["a"], one.episode["b"]) == (2, 2)
     assert one.data.qpos.tolist() == [0, 0, 1] and one.data.qvel.tolist() == [0, 0, 2]
 

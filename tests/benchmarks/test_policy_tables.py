@@ -9,6 +9,9 @@ import pytest
 from paths import ROOT
 
 from agym_jax.errors import ArgumentError
+from agym_jax.policy.files import find_policy
+from agym_jax.policy.policy import read_policy, shipped
+from agym_jax.registry import parse
 from benchmarks import policy_tables
 from benchmarks.markdown import RESULTS
 
@@ -65,6 +68,15 @@ def test_how_many_policies_keep_four_fifths_of_their_success_is_what_the_pages_s
     assert f"({all_kept}, counting policies with a [memory](docs/memory.md) that ship" in readme
     assert f"Four fifths are reached in {plain} of these {whole} environments" in transfer
     assert f"So {all_kept} of the {whole} environments have a policy that keeps" in transfer
+
+
+def test_how_many_policies_met_people_of_every_size_is_what_the_page_says():
+    care = (ROOT / "docs/care.md").read_text()
+    found = {name: read_policy(find_policy(name)).info.get("changes", {}) for name in shipped()}
+    met = [name for name, changes in found.items() if changes.get("humans.sizes") == "both"]
+    alone = [name for name in met if not parse(name).active]
+    assert f"Of the 28 policies of robots alone, {len(alone)} were trained" in care
+    assert f"Of the pairs, {len(met) - len(alone)} met both kinds of size" in care
 
 
 def test_policies_among_arms_as_there_have_the_figures_of_the_other_tables():

@@ -154,6 +154,7 @@ def test_failed_episodes_are_told_apart_by_how_they_end():
         == "spilled (2), nothing (2), rest (1)"
     )
     assert end.summary()["failures"] == end.failures
+    assert dict(end.rows())["episodes that fail"].split()[0] == "5"
     assert "failures" not in Outcome(measures, values, times).summary()
     assert not Outcome(measures, values, np.ones(6), endings).failures
 

@@ -11,11 +11,12 @@ from fake_env import FakeEnv
 from fake_pair_env import FakePairEnv
 
 import agym_jax
-from agym_jax.wrappers import vectorize
+from agym_jax.wrappers import shared_reset_interval, vectorize
 from train import coop, ppo
 from train.configs import CoopConfig, PPOConfig
 from train.errors import ConfigError
 from train.learning import restarts
+from train.learning.agents import Agents
 from train.learning.execution import StepwiseEnv
 from train.learning.restarts import COPIES, RestartingVectorEnv, choose_sources
 from train.learning.rollout import REMEMBERED, RESTARTED, collect, init_rollout
@@ -187,6 +188,24 @@ def test_a_pair_trains_with_restarts():
     )  # fmt: skip
     result = coop.train(FakePairEnv(), config)
     assert set(result.policies) == {"robot", "human"} and np.isfinite(result.curve[-1]["return"])
+
+
+class WithoutABatch(FakeEnv):
+    """Has no batch of its own, as an environment of agym_jax."""
+
+    @property
+    def vectorize(self):  # noqa: D102
+        raise AttributeError
+
+
+def test_restarted_episodes_may_end_at_every_reset_of_others():
+    def truncated_every(share: float) -> int | None:
+        config = dataclasses.replace(CONFIG, restart_share=share)
+        return Agents(config, WithoutABatch(), ("robot",)).truncated_every
+
+    length = FakeEnv().episode_length
+    assert truncated_every(0.0) == length
+    assert truncated_every(0.5) == shared_reset_interval(length) < length
 
 
 def test_an_environment_whose_step_is_compiled_is_refused():

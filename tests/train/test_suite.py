@@ -16,6 +16,8 @@ from train_runs import start_python
 
 from agym_jax import list_envs
 from agym_jax.errors import UnknownNameError
+from agym_jax.policy.files import load_policy
+from agym_jax.policy.policy import save_policy
 from train.errors import ConfigError
 from train.runs.checkpoint import checkpoint_files
 from train.runs.overview import read_rows, wall_seconds
@@ -96,9 +98,10 @@ def test_commands_of_robots_alone_and_of_pairs(tmp_path, program):
 def test_a_film_has_the_settings_of_the_training(tmp_path, program):
     changes = {"task.settled_gown": 0.5, "memory": [0.3, 4.0]}
     (tmp_path / "FeedingJaco-v0").mkdir()
-    line = {"env": "FeedingJaco-v0", "chosen_success": 0.9, "changes": changes}
-    (tmp_path / "FeedingJaco-v0" / "selection.jsonl").write_text(json.dumps(line))
-    runner = Runner(SuiteConfig(num_seeds=2, save_dir=str(tmp_path)), program, [])
+    policy = load_policy("FeedingJaco-v0")
+    info = {**policy.info, "changes": changes, "meant_for": changes}
+    save_policy(tmp_path / "FeedingJaco-v0" / "policy.npz", dataclasses.replace(policy, info=info))
+    runner = Runner(SuiteConfig(num_seeds=1, save_dir=str(tmp_path)), program, [])
     assert runner._film("FeedingJaco-v0") == ""
     ((words, _),) = calls(tmp_path)
     assert words[words.index("--task.settled-gown") + 1] == "0.5" and "--memory" not in words
@@ -170,7 +173,7 @@ def test_how_seeds_are_chosen(tmp_path, program):
     assert commands[-1][-2:] == ["--at-least", "held=0.9"]
     with pytest.raises(UnknownNameError, match=r"'hold'.*held"):
         check_entries(dataclasses.replace(config, at_least=("hold=0.9",)), list_envs())
-    with pytest.raises(ConfigError, match=r"NAME=VALUE with numbers.*'held=much'"):
+    with pytest.raises(ConfigError, match=r"NAME=VALUE.*'held=much'"):
         check_entries(dataclasses.replace(config, at_least=("held=much",)), list_envs())
     with pytest.raises(ConfigError, match="--by is about the choice among seeds"):
         SuiteConfig(num_seeds=1, by="both")

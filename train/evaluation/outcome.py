@@ -23,6 +23,12 @@ def in_words(measure: Measure, value: float) -> str:
     return f"{value:.3g}{'' if measure.unit == '1' else f' {measure.unit}'} {measure.name}"
 
 
+def ways_in_words(failures: Mapping[str, int]) -> str:
+    """Format how episodes failed, the most frequent way first: "nothing drunk (12), more than a quarter spilled (5)"."""
+    found = sorted(failures.items(), key=lambda x: -x[1])
+    return ", ".join(f"{words} ({n})" for words, n in found)
+
+
 @dataclass(frozen=True)
 class Outcome:
     """How the episodes ended; arrays have one entry per episode.
@@ -41,13 +47,13 @@ class Outcome:
 
     @property
     def failures(self) -> dict[str, int]:
-        """How many of the failed episodes end in each of ``endings``, the most frequent first; each counts once."""
+        """How many of the failed episodes end in each of ``endings``; each counts once."""
         left, found = ~np.isfinite(self.times), dict[str, int]()
         for ending in self.endings:
             value = self.values[ending.measure]
             mine = left & (value >= ending.low) & (value < ending.high)
             found[ending.words], left = int(mine.sum()), left & ~mine
-        return dict(sorted(((k, n) for k, n in found.items() if n), key=lambda x: -x[1]))
+        return {words: n for words, n in found.items() if n}
 
     @property
     def median_time(self) -> float | None:
@@ -69,9 +75,8 @@ class Outcome:
             high = float(np.quantile(done, 0.9))
             found.append(("time to success [s]", f"{self.median_time:9.1f}   median; 90 % within {high:.1f}"))  # fmt: skip
         if self.failures:
-            total = sum(self.failures.values())
-            each = ", ".join(f"{words} ({n})" for words, n in self.failures.items())
-            found.append(("episodes that fail", f"{total:9d}   {each}"))
+            total = int((~np.isfinite(self.times)).sum())
+            found.append(("episodes that fail", f"{total:9d}   {ways_in_words(self.failures)}"))
         return found
 
     def in_words(self) -> str:

@@ -139,8 +139,9 @@ class Agents:
         losses = (self._loss(name, loss) for name in learning for loss in scalars)
         self.losses, self.episode_length = tuple(dict.fromkeys(losses)), env.episode_length
         # a batch of the environment's own may truncate whenever it wants, and a restarted episode ends sooner
-        every = shared_reset_interval if config.restart_share else int
-        self.truncated_every = None if hasattr(env, "vectorize") else every(env.episode_length)
+        length = env.episode_length
+        every = shared_reset_interval(length) if config.restart_share else length
+        self.truncated_every = None if hasattr(env, "vectorize") else every
         self.axes: tuple[int, ...] = ()
 
     def init(self, key: jax.Array) -> LearnerState:

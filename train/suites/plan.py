@@ -15,7 +15,7 @@ from agym_jax.registry import parse
 from agym_jax.spec import Measured
 
 from ..configs import entry_of
-from ..entries import entries
+from ..entries import AT_LEAST, entries, numbers
 from ..errors import ConfigError, check_save_dir
 
 
@@ -107,22 +107,16 @@ def flags_for(config: SuiteConfig, env_name: str) -> list[str]:
     return _words("--flags", config.flags) + _words("--flags-of", own)
 
 
-def least_for(config: SuiteConfig, env_name: str) -> list[str]:
-    """Return the entries of ``at_least`` whose measure the environment's task has.
-
-    Raises:
-        ConfigError: if an entry is not of the form NAME=VALUE, with a number.
-    """
+def measures_of(env_name: str) -> set[str]:
+    """Return the names of the measures of an environment's task."""
     task = parse(env_name).task
-    names = {x.name for x in task.measures} if isinstance(task, Measured) else set()
-    needed = "NAME=VALUE with numbers, such as held=0.9"
-    found = entries("--at-least", config.at_least, needed)
-    for name, value in found.items():
-        try:
-            float(value)
-        except ValueError:
-            raise ConfigError(f"--at-least takes {needed}; got '{name}={value}'.") from None
-    return [f"{name}={value}" for name, value in found.items() if name in names]
+    return {x.name for x in task.measures} if isinstance(task, Measured) else set()
+
+
+def least_for(config: SuiteConfig, env_name: str) -> list[str]:
+    """Return the entries of ``at_least`` whose measure the environment's task has. Raises ``ConfigError`` as ``numbers`` does."""
+    known, found = measures_of(env_name), numbers("--at-least", config.at_least, AT_LEAST)
+    return [f"{name}={value:g}" for name, value in found.items() if name in known]
 
 
 def steps_for(config: SuiteConfig, env_name: str) -> str | None:
@@ -145,11 +139,10 @@ def check_entries(config: SuiteConfig, ids: Sequence[str]) -> None:
     for start in (*steps_by_name(config), *flags):
         if not any(name.startswith(start) for name in ids):
             raise UnknownNameError("environment", start, ids)
-    measured = {entry for name in ids for entry in least_for(config, name)}
-    if unknown := [x for x in config.at_least if x not in measured]:
-        tasks = [parse(name).task for name in ids]
-        names = {x.name for task in tasks if isinstance(task, Measured) for x in task.measures}
-        raise UnknownNameError("measure", unknown[0].partition("=")[0], sorted(names))
+    known = set().union(*map(measures_of, ids))
+    for name in numbers("--at-least", config.at_least, AT_LEAST):
+        if name not in known:
+            raise UnknownNameError("measure", name, sorted(known))
     _words("--flags", config.flags)
     for text in flags.values():
         _words("--flags-of", text)

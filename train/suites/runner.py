@@ -16,6 +16,9 @@ from typing import Any
 
 from agym_jax.changes import flags_of
 from agym_jax.memory import MEMORY
+from agym_jax.policy.check import meant_for
+from agym_jax.policy.files import run_file
+from agym_jax.policy.policy import read_policy
 from agym_jax.registry import parse
 
 from ..runs.overview import JOURNAL, read_rows, selection_of
@@ -153,15 +156,8 @@ class Runner:
             return ""
         words = ["enjoy", "--env-name", env_name, "--load-dir", str(folder), "--clip", str(film)]
         size = ["--width", "320", "--height", "240"]
-        # as the policy was trained; it brings its memory along
-        changes = (selection_of(folder / env_name) or {}).get("changes", {})
-        as_trained = flags_of({name: x for name, x in changes.items() if name != MEMORY})
-        return self._run(
-            [*words, *size, *shlex.split(as_trained)],
-            env_name,
-            {"JAX_PLATFORMS": "cpu"},
-            "film.log",
-        )
+        words += [*size, *_settings_of(run_file(folder / env_name, "robot"))]
+        return self._run(words, env_name, {"JAX_PLATFORMS": "cpu"}, "film.log")
 
     def _run(
         self, words: Sequence[str], env_name: str, environment: Mapping[str, str], log: str = "log"
@@ -201,3 +197,9 @@ class Runner:
 def _line(words: Sequence[str]) -> str:
     """The line of a log that begins what a command prints."""
     return f"$ {' '.join(words)}"
+
+
+def _settings_of(policy: Path) -> list[str]:
+    """Flags of the settings that a policy is for, but for its memory, which it brings along; none if it does not exist."""
+    meant = meant_for(read_policy(policy).info) if policy.is_file() else {}
+    return shlex.split(flags_of({name: x for name, x in meant.items() if name != MEMORY}))

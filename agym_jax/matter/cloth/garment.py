@@ -146,7 +146,7 @@ def _read_description(path: Path) -> Garment:
             raise GarmentError(
                 f"{path.name} does not specify {key}; a garment needs mesh, cuff and anchors."
             )
-    for key in {"scale", "area_density"} & said.keys():
+    for key in [x for x in ("scale", "area_density") if x in said]:
         if isinstance(said[key], bool) or not isinstance(said[key], int | float):
             raise GarmentError(f"{path.name}: {key} must be a number, got {said[key]!r}.")
     if not isinstance(said["mesh"], str):

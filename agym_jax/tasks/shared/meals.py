@@ -23,7 +23,7 @@ from agym_jax.matter.particles.solver import Obstacles, Particles
 from agym_jax.matter.shapes import Boxes, Capsules
 from agym_jax.observe import column, observation
 from agym_jax.sense import Sensed
-from agym_jax.spec import HumanSpec, Pose
+from agym_jax.spec import Ending, HumanSpec, Pose
 
 _RAD = math.pi / 180.0
 
@@ -37,7 +37,22 @@ BELOW = ("waist", "left_upper_arm", "left_forearm", "left_hand", "right_thigh", 
 THINNEST = 0.024
 """Smallest half thickness of anything on which particles fall [m]: the forearm of a slender woman; table and bowl are
 thicker."""
+Endings = tuple[Ending, ...]
 SEEN = "feeding.py, drinking.py _get_obs"
+
+
+def endings(got: str, left: str) -> Endings:
+    """Return the ways in which a meal fails.
+
+    Args:
+        got: name of the measure of what was eaten or drunk.
+        left: what holds of the others, in words.
+    """
+    return (
+        Ending("more than a quarter spilled", "spilled", low=0.251),
+        Ending(f"nothing {got}", got, high=0.001),
+        Ending(left, got),
+    )
 
 
 def diner(rate: float, max_torque: float) -> HumanSpec:

@@ -59,7 +59,7 @@ CHANGES: dict[str, tuple[tuple[str, ...], str]] = {
     ),
     "2026-11-28T21:34": (
         ("ScratchItchSawyer",),
-        "contacts of the scratcher's handle do not scratch, as in Assistive Gym; of the other robots' policies, no success of 400 episodes each changed",
+        "contacts of the scratcher's handle do not scratch, as in Assistive Gym; the other robots' policies and pairs succeed in as many of 400 episodes each as before",
     ),
 }  # fmt: skip
 """Changes of the physics that made earlier figures wrong: when (UTC, as in results) -> what the ids begin with, and what changed. Tables

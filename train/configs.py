@@ -17,12 +17,13 @@ import tyro
 from agym_jax.flags import Count, EnvFlags, env_name_in, task_config
 from agym_jax.registry import plain_id
 
+from .continued import NOISE_BOUNDS, settings_of_start
 from .errors import ConfigError, check_save_dir
 from .task_changes import CPU_CHANGES, SEARCH_CHANGES, TASK_CHANGES
 
 POSITIVE = "lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling", "candidates_until"  # fmt: skip
 NOT_NEGATIVE = (
-    "value_loss_coef", "entropy_coef", "policy_head_gain", "noise_floor", "noise_ceiling",
+    "value_loss_coef", "entropy_coef", "policy_head_gain", "noise_floor", "noise_ceiling", "target_kl",
     "cost_limit", "cost_proportional", "cost_integral", "cost_derivative", "cost_multiplier_max",
 )  # fmt: skip
 SHARES = (
@@ -161,6 +162,9 @@ class LearnConfig(EnvFlags):
     value_warm_up: float | None = None
     """Fraction of the run in which only the value functions learn, so that a policy that can do the task already is not
     spoiled by value functions that know nothing yet. None: 0.05 if training starts from a policy, otherwise 0."""
+    target_kl: float | None = None
+    """Divergence in an update to which the learning rates of policies that training starts from are adapted, up to lr; 0 = not
+    adapted. They act with less noise than new policies, so that lr can change them too fast. None: 0.01."""
 
     log_interval: Count = 0
     """Updates between log lines; 0 = about 80 lines per run."""
@@ -275,10 +279,6 @@ NUM_ENVS = {"cpu": 64, "gpu": 1024, "tpu": 1024}
 """Default number of environments by kind of device."""
 LEAST_RECOMPUTED = 10_000
 """Samples per update from which advantages are recomputed before every pass."""
-NOISE_BOUNDS = ("noise_floor", "noise_ceiling", "noise_ceiling_from")
-"""Settings that are 0 by default if training starts from a policy."""
-WARM_UP = 0.05
-"""Fraction of a run that starts from a policy in which only the value functions learn."""
 LEAST_SAMPLES = 80
 """Smallest mini-batch, if ``num_mini_batch`` would divide a small batch into smaller ones."""
 
@@ -322,6 +322,7 @@ def parse_arguments(
         PPOConfig: "Train a robot policy with PPO.",
         CoopConfig: "Train a robot policy and a person policy together, with a common reward.",
     }[kind]
+    named = [word.partition("=")[0].replace("_", "-") for word in arguments]
     return tyro.cli(
         kind,
         prog=prog,
@@ -330,14 +331,9 @@ def parse_arguments(
         f"--help to see those of another one.",
         args=list(arguments),
         default=config_for(
-            env_name_in(arguments, kind.env_name), kind, platform, names_policy(arguments)
+            env_name_in(arguments, kind.env_name), kind, platform, "--robot-policy" in named
         ),
     )
-
-
-def names_policy(arguments: Sequence[str]) -> bool:
-    """Return whether command-line arguments contain ``--robot-policy``."""
-    return "--robot-policy" in [word.partition("=")[0].replace("_", "-") for word in arguments]
 
 
 def resolve(config: Config, platform: str, devices: int = 1) -> Config:
@@ -353,7 +349,7 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
 
     Raises:
         ConfigError: if the environments cannot be divided evenly among the devices, or the data of an update into
-            mini-batches.
+            mini-batches; or if ``target_kl`` has nothing to act on.
     """
     num_envs = config.num_envs or NUM_ENVS.get(platform, NUM_ENVS["gpu"])
     if num_envs % devices:
@@ -376,12 +372,7 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
         )
     if config.recompute_advantages is None:
         config = dataclasses.replace(config, recompute_advantages=batch >= LEAST_RECOMPUTED)
-    if config.value_warm_up is None:
-        goes_on = any(
-            getattr(config, f"{agent}_policy", None) and not getattr(config, f"freeze_{agent}", 0)
-            for agent in ("robot", "human")
-        )
-        config = dataclasses.replace(config, value_warm_up=WARM_UP if goes_on else 0.0)
+    config = dataclasses.replace(config, **settings_of_start(config))
     total = updates_in(config.num_env_steps, batch)
     log_interval = config.log_interval or max(1, round(total / 80))
     save_interval = config.save_interval or max(1, math.ceil(total / 10))

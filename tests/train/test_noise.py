@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from agym_jax.policy.networks import Architecture, init_policy, make_networks
-from train.configs import NOISE_BOUNDS, PPOConfig, config_for
+from train.configs import PPOConfig, config_for
+from train.continued import NOISE_BOUNDS
 from train.errors import ConfigError
 from train.learning.noise import keep_noise, log_ceiling, log_floor
 from train.task_changes import TASK_CHANGES

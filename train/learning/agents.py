@@ -150,7 +150,8 @@ class Agents:
         states = {}
         for agent, key_agent in zip(self.agents, keys or [key], strict=True):
             constrained = self.constrained and not agent.frozen
-            state, rest = init_agent(agent.arch, key_agent, agent.critic_size, constrained)
+            paced = bool(self.config.target_kl and agent.start) and not agent.frozen
+            state, rest = init_agent(agent.arch, key_agent, agent.critic_size, constrained, paced)
             states[agent.name] = _start_from(state, agent.start) if agent.start else state
             key = key if keys else rest
         return LearnerState(states, key)
@@ -245,6 +246,7 @@ class Agents:
         """Name -> value of what a checkpoint must agree in, besides the environment, for JSON."""
         agreed: dict[str, Any] = {"central_critic": getattr(self.config, "central_critic", False)}
         agreed["constrained"] = self.constrained or None  # older checkpoints do not tell
+        agreed["paced"] = bool(self.config.target_kl) or None
         for agent in self.agents:
             agreed[f"{agent.name}.critic_size"] = agent.critic_size
             for name, value in vars(agent.arch).items():

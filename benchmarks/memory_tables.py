@@ -7,14 +7,25 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+from agym_jax.changes import flags_of
 from agym_jax.data.assets import asset_root
 from agym_jax.data.npz import read_npz
+from agym_jax.memory import MEMORY
 from agym_jax.policy.policy import shipped, shipped_folder
 from benchmarks import markdown
 from benchmarks.care_tables import among_everybody, worst_group
 from benchmarks.markdown import EARLIER, NOTHING, RESULTS, Line
-from benchmarks.policy_tables import COMMIT, of_both_sizes, seeds_and_steps, seeds_in_percent
+from benchmarks.policy_tables import COMMIT, seeds_and_steps, seeds_in_percent
 from train.runs.overview import share
+
+
+def trained_among(line: Line) -> str:
+    """Whether people of every size were among those in training, and what else was not as in the environment's id."""
+    changes = dict(line.get("trained_with") or {})
+    changes.pop(MEMORY, None)
+    both = changes.pop("humans.sizes", None) == "both"
+    others = f", `{flags_of(changes)}`" if changes else ""
+    return ", people of both kinds of size" * both + others
 
 
 def runs(folder: Path = RESULTS) -> list[Line]:
@@ -57,7 +68,7 @@ def trainings(folder: Path = RESULTS) -> str:
     columns = {
         "environment": lambda x: x["env"] + (" ‡" if "code" in x else ""),
         "memory [s]": times,
-        "seeds x steps": lambda x: seeds_and_steps(x) + of_both_sizes(x),
+        "seeds x steps": lambda x: seeds_and_steps(x) + trained_among(x),
         "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
         "worst, interquartile mean": worst_and_mean,
         "chosen seed, over other people": lambda x: f"{x['chosen']}: {_success(x['reported'])}",

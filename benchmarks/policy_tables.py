@@ -259,12 +259,6 @@ def seeds_and_steps(line: Line) -> str:
     return overview.seeds_and_steps(len(line["seeds"]), line["num_env_steps"], *more)
 
 
-def of_both_sizes(line: Line) -> str:
-    """Whether people of every size were among those in training."""
-    both = (line.get("trained_with") or {}).get("humans.sizes") == "both"
-    return ", people of both kinds of size" if both else ""
-
-
 def seeds_in_percent(values: Sequence[float]) -> str:
     """The shares of all seeds."""
     return ", ".join(f"{100 * x:.3g}" for x in values)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from benchmarks import markdown, memory_tables
 from benchmarks.markdown import RESULTS, Line
-from benchmarks.memory_tables import times, worst_and_mean
-from benchmarks.policy_tables import of_both_sizes, seeds_and_steps, seeds_in_percent
+from benchmarks.memory_tables import times, trained_among, worst_and_mean
+from benchmarks.policy_tables import seeds_and_steps, seeds_in_percent
 
 
 def trainings(folder: Path = RESULTS) -> str:
@@ -27,7 +27,7 @@ def trainings(folder: Path = RESULTS) -> str:
     columns = {
         "environment": lambda x: x["env"],
         "memory [s]": lambda x: times(x) if x.get("changes") else "",
-        "seeds x steps": lambda x: seeds_and_steps(x) + of_both_sizes(x),
+        "seeds x steps": lambda x: seeds_and_steps(x) + trained_among(x),
         "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
         "worst, interquartile mean": worst_and_mean,
         "without restarts: seeds x steps, worst, interquartile mean": lambda x: "; ".join(

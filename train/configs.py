@@ -17,7 +17,7 @@ import tyro
 from agym_jax.flags import Count, EnvFlags, env_name_in, task_config
 from agym_jax.registry import plain_id
 
-from .continued import NOISE_BOUNDS, settings_of_start
+from .continued import NOISE_BOUNDS, value_warm_up
 from .errors import ConfigError, check_save_dir
 from .task_changes import CPU_CHANGES, SEARCH_CHANGES, TASK_CHANGES
 
@@ -162,9 +162,9 @@ class LearnConfig(EnvFlags):
     value_warm_up: float | None = None
     """Fraction of the run in which only the value functions learn, so that a policy that can do the task already is not
     spoiled by value functions that know nothing yet. None: 0.05 if training starts from a policy, otherwise 0."""
-    target_kl: float | None = None
+    target_kl: float = 0.0
     """Divergence in an update to which the learning rates of policies that training starts from are adapted, up to lr; 0 = not
-    adapted. They act with less noise than new policies, so that lr can change them too fast. None: 0.01."""
+    adapted. They act with less noise than new policies, so that lr can change them too fast."""
 
     log_interval: Count = 0
     """Updates between log lines; 0 = about 80 lines per run."""
@@ -372,7 +372,7 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
         )
     if config.recompute_advantages is None:
         config = dataclasses.replace(config, recompute_advantages=batch >= LEAST_RECOMPUTED)
-    config = dataclasses.replace(config, **settings_of_start(config))
+    config = dataclasses.replace(config, value_warm_up=value_warm_up(config))
     total = updates_in(config.num_env_steps, batch)
     log_interval = config.log_interval or max(1, round(total / 80))
     save_interval = config.save_interval or max(1, math.ceil(total / 10))

@@ -19,6 +19,7 @@ from train.learning.pace import FASTER, LEAST, SLOWER, START, next_pace
 from train.learning.ppo import Hyper
 from train.learning.rollout import init_rollout
 from train.learning.update import make_updates
+from train.sweep import parse_grid, sweep
 
 TARGET = 0.01
 CONFIG = PPOConfig(
@@ -89,3 +90,11 @@ def test_without_a_target_nothing_changes_and_new_policies_have_no_pace(start):
     )
     learner = jax.jit(Agents(pair, FakePairEnv(), ("robot", "human")).init)(jax.random.PRNGKey(0))
     assert {agent.pace for agent in learner.agents.values()} == {None}
+
+
+def test_a_sweep_compares_paces(start):
+    config = dataclasses.replace(CONFIG, robot_policy=start, num_env_steps=320 * 10, log_interval=5)
+    settings = parse_grid([f"target_kl=0,{TARGET}"])
+    free, paced = sweep(FakeEnv(), config, settings, 1).seeds
+    ends = [[row["loss/kl"] for row in found.curve][-1] for found in (free, paced)]
+    assert free.name == "target_kl=0/seed_1" and ends[0] > 3 * ends[1] > 0

@@ -106,7 +106,7 @@ class Hyper:
             "noise_ceiling": config.noise_ceiling,
             "noise_ceiling_from": config.noise_ceiling_from,
             "value_warm_up": config.value_warm_up or 0.0,
-            "target_kl": config.target_kl or 0.0,
+            "target_kl": config.target_kl,
         }
         numbers = {name: np.float32(value) for name, value in values.items()}
         constraint = ConstraintHyper.of(config, episode_length)

@@ -1,13 +1,13 @@
-"""How fast a policy learns that can do its task already: so that an update changes what it does by a given amount.
+"""The pace of a policy that training starts from: its learning rate is such that an update changes what it does by a given amount.
 
-How much a step of the optimizer changes a policy depends on its noise: the divergence of the policy after an update from the one that
-acted grows with the square of the change of its mean, divided by the noise. The learning rates of the tasks are for new policies, whose
-deviation is about 1. With the deviation of 0.1 to 0.2 that a trained policy has, they lead to divergences of 0.1 to 29 in one update (0.03 in
-new trainings), far beyond the range in which PPO's objective means anything, and the policy gets worse.
+How much the steps of the optimizer change a policy depends on its noise: the divergence from the policy that acted grows with the square
+of the change of the mean, divided by the deviation. The learning rates of the tasks are for new policies. With the deviations of 0.1 to 0.2
+that a trained policy has, they lead to divergences of 0.1 to 0.35, and up to 29, in one update, where new trainings have 0.02 to 0.06
+(docs/training_notes.md, "Continued trainings").
 
 The pace is a factor on the learning rate of the policy, at most 1, set after every update from the divergence of its last pass over the data.
-Brax and RSL-RL do the same with the learning rate of each mini-batch; here there are hundreds of those in an update, in which the
-divergence grows from 0, so that a rate that follows it would swing.
+Brax and RSL-RL adapt the learning rate after each mini-batch; here there are hundreds of those in an update, in which the divergence grows
+from 0, so that a rate that follows it would swing.
 """
 
 from __future__ import annotations

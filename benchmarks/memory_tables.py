@@ -7,25 +7,15 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from agym_jax.changes import flags_of
 from agym_jax.data.assets import asset_root
 from agym_jax.data.npz import read_npz
-from agym_jax.memory import MEMORY
 from agym_jax.policy.policy import shipped, shipped_folder
 from benchmarks import markdown
 from benchmarks.care_tables import among_everybody, worst_group
 from benchmarks.markdown import EARLIER, NOTHING, RESULTS, Line
 from benchmarks.policy_tables import COMMIT, seeds_and_steps, seeds_in_percent
+from benchmarks.trained import trained_among
 from train.runs.overview import share
-
-
-def trained_among(line: Line) -> str:
-    """Whether people of every size were among those in training, and what else was not as in the environment's id."""
-    changes = dict(line.get("trained_with") or {})
-    changes.pop(MEMORY, None)
-    both = changes.pop("humans.sizes", None) == "both"
-    others = f", `{flags_of(changes)}`" if changes else ""
-    return ", people of both kinds of size" * both + others
 
 
 def runs(folder: Path = RESULTS) -> list[Line]:

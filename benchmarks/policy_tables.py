@@ -24,6 +24,7 @@ from benchmarks.markdown import (
     several,
     table,
 )
+from benchmarks.trained import trained_among
 from train.runs import overview
 from train.runs.progress import duration
 
@@ -229,17 +230,21 @@ def gentle(folder: Path = RESULTS) -> str:
 
 def _begun(line: Line) -> str:
     """What a training began with, by the policy that its robot was given."""
-    policy = line.get("started_from")
+    policy, active = line.get("started_from"), parse(line["env"]).active
+    if policy is None:
+        return "a new policy"
+    if active and policy == f"assets/policies/{line['env']}.npz":
+        return "the pair before"
     if policy != "shipped":
-        return "a new policy" if policy is None else "one that did not ship"
-    return "the robot's policy" if parse(line["env"]).active else "the policy before"
+        return "one that did not ship"
+    return "the robot's policy" if active else "the policy before"
 
 
 def continued(folder: Path = RESULTS) -> str:
     """What trainings that go on with a policy achieve, beside that policy."""
     columns = {
         "environment": lambda x: x["env"],
-        "seeds x steps": seeds_and_steps,
+        "seeds x steps": lambda x: seeds_and_steps(x) + trained_among(x),
         "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
         "worst": lambda x: f"{min(x['success_of_seeds']):.1%}",
         "chosen seed, over other people": lambda x: f"{x['chosen']}: {x['chosen_success']:.1%}",

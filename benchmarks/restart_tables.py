@@ -6,8 +6,9 @@ from pathlib import Path
 
 from benchmarks import markdown, memory_tables
 from benchmarks.markdown import RESULTS, Line
-from benchmarks.memory_tables import times, trained_among, worst_and_mean
+from benchmarks.memory_tables import times, worst_and_mean
 from benchmarks.policy_tables import seeds_and_steps, seeds_in_percent
+from benchmarks.trained import trained_among
 
 
 def trainings(folder: Path = RESULTS) -> str:

@@ -17,7 +17,7 @@ import tyro
 from agym_jax.flags import Count, EnvFlags, env_name_in, task_config
 from agym_jax.registry import plain_id
 
-from .continued import NOISE_BOUNDS, value_warm_up
+from .continued import NOISE_BOUNDS, check_target_kl, value_warm_up
 from .errors import ConfigError, check_save_dir
 from .task_changes import CPU_CHANGES, SEARCH_CHANGES, TASK_CHANGES
 
@@ -163,8 +163,8 @@ class LearnConfig(EnvFlags):
     """Fraction of the run in which only the value functions learn, so that a policy that can do the task already is not
     spoiled by value functions that know nothing yet. None: 0.05 if training starts from a policy, otherwise 0."""
     target_kl: float = 0.0
-    """Divergence in an update to which the learning rates of policies that training starts from are adapted, up to lr; 0 = not
-    adapted. They act with less noise than new policies, so that lr can change them too fast."""
+    """Keep the KL divergence in the last pass of an update near this value by lowering the learning rate of policies that
+    training starts from; 0 = off. They often act with less noise than new policies, so that lr changes them more."""
 
     log_interval: Count = 0
     """Updates between log lines; 0 = about 80 lines per run."""
@@ -372,6 +372,7 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
         )
     if config.recompute_advantages is None:
         config = dataclasses.replace(config, recompute_advantages=batch >= LEAST_RECOMPUTED)
+    check_target_kl(config)
     config = dataclasses.replace(config, value_warm_up=value_warm_up(config))
     total = updates_in(config.num_env_steps, batch)
     log_interval = config.log_interval or max(1, round(total / 80))

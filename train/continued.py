@@ -12,21 +12,29 @@ WARM_UP = 0.05
 """Fraction of a run that starts from a policy in which only the value functions learn."""
 
 
-def value_warm_up(config: Any) -> float:
-    """Return the fraction of the run in which only the value functions learn, where the settings leave it open.
-
-    Raises:
-        ConfigError: if ``target_kl`` is given, and training does not start from a policy.
-    """
-    starts = any(
+def starts_from_a_policy(config: Any) -> bool:
+    """Return whether a policy that training starts from, the robot's or the person's, is trained further."""
+    return any(
         getattr(config, f"{agent}_policy", None) and not getattr(config, f"freeze_{agent}", False)
         for agent in ("robot", "human")
     )
-    if config.target_kl and not starts:
+
+
+def check_target_kl(config: Any) -> None:
+    """Reject a ``target_kl`` that has nothing to act on.
+
+    Raises:
+        ConfigError: if training does not start from a policy, or only from one that stays as it is.
+    """
+    if config.target_kl and not starts_from_a_policy(config):
         raise ConfigError(
-            f"--target-kl {config.target_kl:g} is for policies that training starts from, which must not change too fast. Add "
-            f"--robot-policy FILE, or leave it out."
+            f"--target-kl {config.target_kl:g} is for policies that training starts from and changes. Add --robot-policy FILE "
+            f"(or --human-policy FILE of agym-jax coop) without freezing it, or leave --target-kl out."
         )
+
+
+def value_warm_up(config: Any) -> float:
+    """Return the fraction of the run in which only the value functions learn, also where the settings leave it open."""
     if config.value_warm_up is not None:
         return config.value_warm_up
-    return WARM_UP if starts else 0.0
+    return WARM_UP if starts_from_a_policy(config) else 0.0

@@ -126,7 +126,7 @@ class AgentState:
     updates: jax.Array  # updates so far    ()
     critic_normalizer: Any = None  # of what the value function reads; None where that is the same
     constraint: Any = None  # train.learning.constraint.ConstraintState; None without a cost limit
-    pace: Any = None  # factor on the policy's learning rate (); None where it is always 1
+    pace: Any = None  # factor on the policy's learning rate (), see train.learning.pace; None where it is always 1
 
 
 def architecture(config: LearnConfig, observation_size: int, action_size: int) -> Architecture:
@@ -305,9 +305,9 @@ def learn(
     optimizer = make_optimizer(hyper.max_grad_norm, hyper.eps)
     progress = agent.env_steps.astype(jnp.float32) / hyper.total_steps
     rate = hyper.lr * jnp.where(hyper.lr_decays > 0, jnp.maximum(0.0, 1.0 - progress), 1.0)
-    warm = progress >= hyper.value_warm_up
-    pace = 1.0 if agent.pace is None else agent.pace
-    policy_rate = jnp.where(warm, rate * pace, 0.0)
+    warmed_up = progress >= hyper.value_warm_up
+    pace = 1.0 if agent.pace is None else jnp.where(hyper.target_kl > 0, agent.pace, 1.0)
+    policy_rate = jnp.where(warmed_up, rate * pace, 0.0)
     constraint, penalty, costs = learn_constraint(
         agent.constraint,
         batch,
@@ -372,7 +372,8 @@ def learn(
     policy = keep_noise(params.policy, *bounds, reached)
     if agent.pace is not None:
         reached_kl = mean(scalars["kl"][-1].mean())
-        pace = jnp.where(warm, next_pace(agent.pace, reached_kl, hyper.target_kl), agent.pace)
+        paced = next_pace(agent.pace, reached_kl, hyper.target_kl)
+        pace = jnp.where(warmed_up, paced, agent.pace)
         agent = replace(agent, pace=pace)
     agent = replace(
         agent,

@@ -33,15 +33,10 @@ def entries(option: str, texts: Sequence[str], needed: str) -> dict[str, str]:
 
 
 def numbers(option: str, texts: Sequence[str], needed: str) -> dict[str, float]:
-    """Read entries of the form NAME=VALUE whose values are numbers.
-
-    Args:
-        option: that takes them, for the error message.
-        texts: entries.
-        needed: their form, with an example.
+    """Read entries as ``entries`` does, with values that are numbers.
 
     Raises:
-        ConfigError: if an entry is not of this form.
+        ConfigError: as for ``entries``; or if a value is not a number.
     """
     found = {}
     for name, value in entries(option, texts, needed).items():

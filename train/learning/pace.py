@@ -29,8 +29,7 @@ def next_pace(pace: jax.Array, kl: jax.Array, target: Any) -> jax.Array:
     Args:
         pace: that of the update    ().
         kl: divergence that it led to    ().
-        target: divergence that is wanted; 0: the pace is not adapted    ().
+        target: divergence that is wanted    ().
     """
     change = jnp.sqrt(target / jnp.maximum(kl, 1e-8))  # the divergence grows with the square
-    paced = jnp.clip(pace * jnp.clip(change, SLOWER, FASTER), LEAST, 1.0)
-    return jnp.where(target > 0, paced, pace)
+    return jnp.clip(pace * jnp.clip(change, SLOWER, FASTER), LEAST, 1.0)

@@ -305,7 +305,11 @@ def test_a_robot_can_start_from_what_it_learned_with_a_person_who_holds_still(tm
         (robot.normalizer.mean, robot.normalizer.std), (still.policy.mean, still.policy.std)
     )
     result = coop.train(FakePairEnv(), config)
-    assert not same_bytes(result.policies["robot"].weights, still.policy.weights)
+    learned = result.policies["robot"]
+    assert not same_bytes(learned.weights, still.policy.weights)
+    # what it observes is normalised as before; by other statistics, the same weights act otherwise
+    assert same_bytes((learned.mean, learned.std), (still.policy.mean, still.policy.std))
+    assert not same_bytes(result.policies["human"].std, np.ones_like(result.policies["human"].std))
 
 
 def test_someone_has_to_learn_and_a_frozen_agent_needs_a_policy():

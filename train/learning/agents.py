@@ -188,6 +188,9 @@ class Agents:
     ) -> tuple[LearnerState, dict[str, jax.Array]]:
         """One update of each agent that learns.
 
+        A policy that training starts from keeps the statistics of the observation with which it has learned to act: with others,
+        the same weights are another policy.
+
         Args:
             learner: before it.
             batch: as collected.
@@ -214,6 +217,8 @@ class Agents:
                 axis,
                 self.truncated_every,
             )
+            if agent.start:
+                states[agent.name] = replace(states[agent.name], normalizer=state.normalizer)
             losses |= {self._loss(agent.name, name): value for name, value in scalars.items()}
         return replace(learner, agents=states), losses
 

@@ -34,6 +34,7 @@ from benchmarks import seed_curves, tables
 from benchmarks.markdown import RESULTS, Line, is_earlier
 from benchmarks.memory_tables import run_of
 from benchmarks.shipped import recorded
+from benchmarks.trained import statistics
 from train.configs import CoopConfig, PPOConfig, config_for
 from train.runs.overview import JOURNAL, read_rows, selection_of, training_summary
 
@@ -41,9 +42,7 @@ POLICIES = RESULTS.parent.parent / "assets" / "policies"
 FOR_GENTLENESS = 0.05
 """Success that a policy may lack, compared with the one that it replaces."""
 LARGEST = 1_000_000  # bytes of a policy file; the largest networks take 740 kB
-ABOUT = (
-    "cost_limit", "cost_multiplier_max", "cost_margin", "started_from", "candidates", "restart_share", "target_kl",
-)  # fmt: skip
+ABOUT = "cost_limit", "cost_multiplier_max", "cost_margin", "started_from", "candidates", "restart_share"  # fmt: skip
 """Fields of a training that its choice is kept with, if it had a cost limit, a memory or restarts, or began with a policy."""
 MEASURED = ("commit", "device", "versions", "time", "impl")
 """Fields of a choice that hold for everything measured with it."""
@@ -342,7 +341,7 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
     if name in config.keep:
         ships, why = False, f"--keep; {why}"
     if not config.dry:
-        about = {name: found.training[name] for name in ABOUT}
+        about = {name: found.training[name] for name in ABOUT} | statistics(found.training)
         training = {name: x for name, x in found.training.items() if name != "curve"}
         if found.memory:
             put("memory", {**choice, **about, "training": training}, ("env", "time"))

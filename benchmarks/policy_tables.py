@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from operator import itemgetter
 from pathlib import Path
 
@@ -24,7 +24,6 @@ from benchmarks.markdown import (
     several,
     table,
 )
-from benchmarks.trained import trained_among
 from train.runs import overview
 from train.runs.progress import duration
 
@@ -201,61 +200,6 @@ def _rows_of_seeds(lines: Sequence[Line], trainings: Sequence[Line | None]) -> l
     sign = mark(lines)
     rows = [overview.cells(*both) for both in zip(lines, trainings, strict=True)]
     return [[row[0] + sign(line), *row[1:]] for row, line in zip(rows, lines, strict=True)]
-
-
-def gentle(folder: Path = RESULTS) -> str:
-    """What trainings under a cost limit achieve, beside the policy that shipped before."""
-
-    def figures(x: Line) -> str:
-        return f"{x['gentle_success']:.1%}, {x['success']:.1%}, {x['peak_median']:.0f} N"
-
-    columns = {
-        "environment": lambda x: x["env"],
-        "limit": lambda x: f"{x['cost_limit']:g}",
-        "largest multiplier": lambda x: f"{x.get('cost_multiplier_max', 2.0):g}",
-        "margin": lambda x: f"{x.get('cost_margin') or 0:g}",
-        "people": lambda x: x.get("trained_with", {}).get("humans.sizes", "ag"),
-        "begins with": _begun,
-        "seeds x steps": seeds_and_steps,
-        "gentle success of each seed [%]": lambda x: seeds_in_percent(x["gentle_success_of_seeds"]),
-        "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
-        "chosen seed, over other people: gentle, success, median peak": lambda x: (
-            f"{x['chosen']}: {figures(x['reported'])}"
-        ),
-        "the policy before": lambda x: figures(x["shipped"]),
-    }
-    by = ("env", "cost_limit", "cost_multiplier_max", "cost_margin", "started_from")
-    return _of_runs(read_results("gentle", by, folder), columns)
-
-
-def _begun(line: Line) -> str:
-    """What a training began with, by the policy that its robot was given."""
-    policy, active = line.get("started_from"), parse(line["env"]).active
-    if policy is None:
-        return "a new policy"
-    if active and policy == f"assets/policies/{line['env']}.npz":
-        return "the pair before"
-    if policy != "shipped":
-        return "one that did not ship"
-    return "the robot's policy" if active else "the policy before"
-
-
-def continued(folder: Path = RESULTS) -> str:
-    """What trainings that go on with a policy achieve, beside that policy."""
-    columns = {
-        "environment": lambda x: x["env"],
-        "seeds x steps": lambda x: seeds_and_steps(x) + trained_among(x),
-        "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
-        "worst": lambda x: f"{min(x['success_of_seeds']):.1%}",
-        "chosen seed, over other people": lambda x: f"{x['chosen']}: {x['chosen_success']:.1%}",
-        "the policy before": lambda x: f"{x['shipped']['success']:.1%}",
-    }
-    return _of_runs(read_results("continued", ("env",), folder), columns)
-
-
-def _of_runs(lines: list[Line], columns: dict[str, Callable[..., str]]) -> str:
-    episodes = several(f"{x['episodes']:,}" for x in lines)
-    return table(lines, columns, itemgetter("env"), f"{episodes} episodes of each seed, mode;")
 
 
 def seeds_and_steps(line: Line) -> str:

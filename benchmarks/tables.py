@@ -13,6 +13,7 @@ from pathlib import Path
 
 from benchmarks import (
     care_tables,
+    continued_tables,
     cpu_tables,
     markdown,
     memory_tables,
@@ -52,8 +53,8 @@ TABLES: dict[str, Callable[..., str]] = {
     "memory-policies": memory_tables.policies,
     "restarts": restart_tables.trainings,
     "sweeps": policy_tables.sweeps,
-    "gentle": policy_tables.gentle,
-    "continued": policy_tables.continued,
+    "gentle": continued_tables.gentle,
+    "continued": continued_tables.continued,
     "limits": care_tables.limits,
     "not-shipped": policy_tables.not_shipped,
     "together": policy_tables.together,

@@ -1,10 +1,14 @@
-"""Among whom policies were trained, in the words of the tables."""
+"""How policies were trained, in the words of the tables: among whom, and with which statistics of the observation."""
 
 from __future__ import annotations
 
 from agym_jax.changes import flags_of
 from agym_jax.memory import MEMORY
 from benchmarks.markdown import Line
+
+KEPT_SINCE = "2026-11-29T05:05"
+"""Start of the first training (UTC) in which a policy that it starts from keeps the statistics by which its observation is normalised. Before,
+they went on changing, and the policy with them."""
 
 
 def trained_among(line: Line) -> str:
@@ -14,3 +18,11 @@ def trained_among(line: Line) -> str:
     both = changes.pop("humans.sizes", None) == "both"
     others = f", `{flags_of(changes)}`" if changes else ""
     return ", people of both kinds of size" * both + others
+
+
+def statistics(training: Line) -> dict[str, str | None]:
+    """Whether the statistics of a policy that training started from were "kept" or did "drift"; None if all policies were new."""
+    begun = training["started_from"] or training["person_started_from"]
+    return {
+        "statistics": None if not begun else "kept" if training["time"] >= KEPT_SINCE else "drift"
+    }

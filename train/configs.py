@@ -17,13 +17,13 @@ import tyro
 from agym_jax.flags import Count, EnvFlags, env_name_in, task_config
 from agym_jax.registry import plain_id
 
-from .continued import NOISE_BOUNDS, check_target_kl, value_warm_up
+from .continued import NOISE_BOUNDS, value_warm_up
 from .errors import ConfigError, check_save_dir
 from .task_changes import CPU_CHANGES, SEARCH_CHANGES, TASK_CHANGES
 
 POSITIVE = "lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling", "candidates_until"  # fmt: skip
 NOT_NEGATIVE = (
-    "value_loss_coef", "entropy_coef", "policy_head_gain", "noise_floor", "noise_ceiling", "target_kl",
+    "value_loss_coef", "entropy_coef", "policy_head_gain", "noise_floor", "noise_ceiling",
     "cost_limit", "cost_proportional", "cost_integral", "cost_derivative", "cost_multiplier_max",
 )  # fmt: skip
 SHARES = (
@@ -108,7 +108,8 @@ class LearnConfig(EnvFlags):
     privileged_critic: bool = True
     """Give the value functions, never the policies, what no agent observes but rewards depend on, such as the water left."""
     normalize_observations: bool = True
-    """Normalise observations by their running mean and standard deviation, clipped to 10 standard deviations."""
+    """Normalise observations by their running mean and standard deviation, clipped to 10 standard deviations. A policy that training
+    starts from keeps those with which it learned."""
     normalize_reward: bool = True
     """Divide rewards by the running standard deviation of the discounted return, clipped to 10."""
     reward_scaling: float = 1.0
@@ -162,9 +163,6 @@ class LearnConfig(EnvFlags):
     value_warm_up: float | None = None
     """Fraction of the run in which only the value functions learn, so that a policy that can do the task already is not
     spoiled by value functions that know nothing yet. None: 0.05 if training starts from a policy, otherwise 0."""
-    target_kl: float = 0.0
-    """Keep the KL divergence in the last pass of an update near this value by lowering the learning rate of policies that
-    training starts from; 0 = off. They often act with less noise than new policies, so that lr changes them more."""
 
     log_interval: Count = 0
     """Updates between log lines; 0 = about 80 lines per run."""
@@ -349,7 +347,7 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
 
     Raises:
         ConfigError: if the environments cannot be divided evenly among the devices, or the data of an update into
-            mini-batches; or if ``target_kl`` has nothing to act on.
+            mini-batches.
     """
     num_envs = config.num_envs or NUM_ENVS.get(platform, NUM_ENVS["gpu"])
     if num_envs % devices:
@@ -372,7 +370,6 @@ def resolve(config: Config, platform: str, devices: int = 1) -> Config:
         )
     if config.recompute_advantages is None:
         config = dataclasses.replace(config, recompute_advantages=batch >= LEAST_RECOMPUTED)
-    check_target_kl(config)
     config = dataclasses.replace(config, value_warm_up=value_warm_up(config))
     total = updates_in(config.num_env_steps, batch)
     log_interval = config.log_interval or max(1, round(total / 80))

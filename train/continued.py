@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from .errors import ConfigError
-
 NOISE_BOUNDS = ("noise_floor", "noise_ceiling", "noise_ceiling_from")
 """Settings that are 0 by default if training starts from a policy."""
 WARM_UP = 0.05
@@ -18,19 +16,6 @@ def starts_from_a_policy(config: Any) -> bool:
         getattr(config, f"{agent}_policy", None) and not getattr(config, f"freeze_{agent}", False)
         for agent in ("robot", "human")
     )
-
-
-def check_target_kl(config: Any) -> None:
-    """Reject a ``target_kl`` that has nothing to act on.
-
-    Raises:
-        ConfigError: if training does not start from a policy, or only from one that stays as it is.
-    """
-    if config.target_kl and not starts_from_a_policy(config):
-        raise ConfigError(
-            f"--target-kl {config.target_kl:g} is for policies that training starts from and changes. Add --robot-policy FILE "
-            f"(or --human-policy FILE of agym-jax coop) without freezing it, or leave --target-kl out."
-        )
 
 
 def value_warm_up(config: Any) -> float:

@@ -40,7 +40,7 @@ from .task_changes import NO_SEARCH
 SWEPT = (
     "lr", "use_linear_lr_decay", "gamma", "gae_lambda", "clip_param", "value_loss_coef", "entropy_coef",
     "entropy_decay_share", "max_grad_norm", "eps", "reward_scaling", "clip_value_loss", "recompute_advantages",
-    "noise_floor", "noise_ceiling", "noise_ceiling_from", "value_warm_up", "target_kl",
+    "noise_floor", "noise_ceiling", "noise_ceiling_from", "value_warm_up",
     "cost_limit", "cost_multiplier_max", "cost_proportional", "cost_integral", "cost_derivative", "cost_margin", "cost_tighten_from", "cost_tighten_until",
 )  # fmt: skip
 """Settings that are arguments of the compiled update. A sweep without ``cost_limit`` has no cost limit."""
@@ -148,8 +148,6 @@ def sweep(
     refuse_active_human(env, config.allow_joint_observation)
     if "cost_limit" in settings[0]:  # the program has a limit, its value is an argument
         config = dataclasses.replace(config, cost_limit=settings[0]["cost_limit"])
-    if "target_kl" in settings[0]:  # and a pace, if any of them has one
-        config = dataclasses.replace(config, target_kl=max(x["target_kl"] for x in settings))
     config, mesh = resolve_config(env, config)
     agents = Agents(config, env, ("robot" if len(env.action_sizes) == 1 else "joint",))
     lanes = lanes_of_sweep(config, settings, num_seeds)

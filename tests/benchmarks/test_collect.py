@@ -15,7 +15,7 @@ from fake_pair_env import FakePairEnv
 
 from agym_jax.policy.policy import read_policy
 from benchmarks import collect as collecting
-from benchmarks import markdown, policy_tables, seed_curves, shipped
+from benchmarks import continued_tables, markdown, policy_tables, seed_curves, shipped
 from benchmarks.setting_as_run import SettingError, setting_as_run
 from train import coop, ppo, select
 from train.configs import CoopConfig, PPOConfig
@@ -385,8 +385,9 @@ def test_what_went_on_with_a_policy_is_told_apart_from_what_began_with_nothing(r
     assert told
     (line,) = lines(repository, "continued")
     assert line["started_from"] == "shipped" and line["cost_limit"] is None
+    assert line["statistics"] == "kept"  # by what the policy normalises its observation
     assert not lines(repository, "selection") and not lines(repository, "seed_training")
-    (row,) = policy_tables.continued(repository / "results").splitlines()[2:3]
+    (row,) = continued_tables.continued(repository / "results").splitlines()[2:3]
     assert row.startswith(f"| {ALONE} | 2 x 0.00096 M |") and row.endswith("| 50.0% |")
 
 

@@ -194,18 +194,6 @@ def test_advantages_are_estimated_anew_where_an_update_has_many_samples():
         assert {resolve(asking, x).recompute_advantages for x in ("cpu", "gpu")} == {asked}
 
 
-def test_a_pace_is_kept_only_by_a_policy_that_goes_on():
-    assert resolve(PPOConfig(), "cpu").target_kl == 0.0
-    frozen = CoopConfig(human_policy="h.npz", freeze_human=True)
-    for asking in (PPOConfig(), frozen):
-        with pytest.raises(ConfigError, match=r"--target-kl 0.02 .*Add --robot-policy FILE"):
-            resolve(dataclasses.replace(asking, target_kl=0.02), "cpu")
-    for asking in (PPOConfig(robot_policy="shipped"), CoopConfig(human_policy="h.npz")):
-        resolve(dataclasses.replace(asking, target_kl=0.02), "cpu")
-    with pytest.raises(ConfigError, match="target_kl must be at least 0"):
-        PPOConfig(target_kl=-1.0)
-
-
 def test_value_functions_come_first_where_a_policy_goes_on():
     def warm_up(kind, **changes):
         return resolve(kind(**changes), "cpu").value_warm_up

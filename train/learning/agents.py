@@ -150,8 +150,7 @@ class Agents:
         states = {}
         for agent, key_agent in zip(self.agents, keys or [key], strict=True):
             constrained = self.constrained and not agent.frozen
-            sizes = (agent.arch, key_agent, agent.critic_size)
-            state, rest = init_agent(*sizes, constrained, self._paced(agent))
+            state, rest = init_agent(agent.arch, key_agent, agent.critic_size, constrained)
             states[agent.name] = _start_from(state, agent.start) if agent.start else state
             key = key if keys else rest
         return LearnerState(states, key)
@@ -252,7 +251,6 @@ class Agents:
         agreed: dict[str, Any] = {"central_critic": getattr(self.config, "central_critic", False)}
         agreed["constrained"] = self.constrained or None  # older checkpoints do not tell
         for agent in self.agents:
-            agreed[f"{agent.name}.target_kl"] = "adapts" if self._paced(agent) else None
             agreed[f"{agent.name}.critic_size"] = agent.critic_size
             for name, value in vars(agent.arch).items():
                 if name not in STARTING:
@@ -261,10 +259,6 @@ class Agents:
             start = agent.start if agent.frozen else None
             agreed[f"{agent.name}.frozen_policy"] = start and fingerprint(start)
         return agreed
-
-    def _paced(self, agent: Agent) -> bool:
-        """Whether its pace is adapted: that of policies that training starts from."""
-        return bool(self.config.target_kl and agent.start) and not agent.frozen
 
     def _split(self, key: jax.Array, more: int = 0) -> Any:
         """A key for each agent, and ``more``; a single agent has the key itself."""

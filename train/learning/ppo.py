@@ -38,7 +38,6 @@ from .constraint import (
 )
 from .noise import keep_noise
 from .optimizer import make_optimizer, moved
-from .pace import START, next_pace
 from .rollout import Batch
 
 REWARD_CLIP = 10.0  # normalised rewards are clipped here, as in Assistive Gym
@@ -71,7 +70,6 @@ class Hyper:
     noise_ceiling: Any  # largest deviation at the end; 0: none
     noise_ceiling_from: Any  # share of the run from which it falls
     value_warm_up: Any  # share of the run before which the policy stays as it is
-    target_kl: Any  # divergence of an update that the pace aims at; 0: none
     constraint: ConstraintHyper | None = None  # None without a cost limit
 
     @classmethod
@@ -106,7 +104,6 @@ class Hyper:
             "noise_ceiling": config.noise_ceiling,
             "noise_ceiling_from": config.noise_ceiling_from,
             "value_warm_up": config.value_warm_up or 0.0,
-            "target_kl": config.target_kl,
         }
         numbers = {name: np.float32(value) for name, value in values.items()}
         constraint = ConstraintHyper.of(config, episode_length)
@@ -126,7 +123,6 @@ class AgentState:
     updates: jax.Array  # updates so far    ()
     critic_normalizer: Any = None  # of what the value function reads; None where that is the same
     constraint: Any = None  # train.learning.constraint.ConstraintState; None without a cost limit
-    pace: Any = None  # factor on the policy's learning rate (), see train.learning.pace; None where it is always 1
 
 
 def architecture(config: LearnConfig, observation_size: int, action_size: int) -> Architecture:
@@ -144,11 +140,7 @@ def architecture(config: LearnConfig, observation_size: int, action_size: int) -
 
 
 def init_agent(
-    arch: Architecture,
-    key: jax.Array,
-    critic_size: int | None = None,
-    constrained: bool = False,
-    paced: bool = False,
+    arch: Architecture, key: jax.Array, critic_size: int | None = None, constrained: bool = False
 ) -> tuple[AgentState, jax.Array]:
     """An agent that has seen nothing, and a random key for what comes after.
 
@@ -157,7 +149,6 @@ def init_agent(
         key: random key.
         critic_size: size of what the value function reads; None if it reads what the policy reads.
         constrained: whether it learns under a cost limit.
-        paced: whether its pace is adapted.
     """
     networks = make_networks(arch, critic_size)
     key_policy, key_value, key = jax.random.split(key, 3)
@@ -175,7 +166,6 @@ def init_agent(
         updates=jnp.zeros((), jnp.int32),
         critic_normalizer=None if critic_size is None else statistics(jnp.zeros(critic_size)),
         constraint=init_constraint(networks, make_optimizer(), key_value) if constrained else None,
-        pace=jnp.float32(START) if paced else None,
     )
     return strong(
         jax.tree.map(jnp.asarray, agent)
@@ -305,9 +295,7 @@ def learn(
     optimizer = make_optimizer(hyper.max_grad_norm, hyper.eps)
     progress = agent.env_steps.astype(jnp.float32) / hyper.total_steps
     rate = hyper.lr * jnp.where(hyper.lr_decays > 0, jnp.maximum(0.0, 1.0 - progress), 1.0)
-    warmed_up = progress >= hyper.value_warm_up
-    pace = 1.0 if agent.pace is None else jnp.where(hyper.target_kl > 0, agent.pace, 1.0)
-    policy_rate = jnp.where(warmed_up, rate * pace, 0.0)
+    policy_rate = jnp.where(progress < hyper.value_warm_up, 0.0, rate)
     constraint, penalty, costs = learn_constraint(
         agent.constraint,
         batch,
@@ -370,11 +358,6 @@ def learn(
     reached = progress + jnp.float32(steps) / hyper.total_steps
     bounds = (hyper.noise_floor, hyper.noise_ceiling, hyper.noise_ceiling_from)
     policy = keep_noise(params.policy, *bounds, reached)
-    if agent.pace is not None:
-        reached_kl = mean(scalars["kl"][-1].mean())
-        paced = next_pace(agent.pace, reached_kl, hyper.target_kl)
-        pace = jnp.where(warmed_up, paced, agent.pace)
-        agent = replace(agent, pace=pace)
     agent = replace(
         agent,
         params=params.replace(policy=policy),

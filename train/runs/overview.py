@@ -92,7 +92,7 @@ def training_summary(run: Path) -> dict[str, Any] | None:
         processes (``wall_seconds``, where a suite has kept them), when the interquartile mean of success first
         was ``ENOUGH`` (``steps_to_90, seconds_to_90``), the ``curve``, ``cost_limit``, ``cost_multiplier_max`` and ``cost_margin``,
         ``started_from`` and ``person_started_from`` (policies of robot and person, None if they were new), ``candidates``
-        (see ``CheckpointManager``; None without), ``restart_share``, ``target_kl``, and commit, device, versions, time.
+        (see ``CheckpointManager``; None without), ``restart_share``, and commit, device, versions, time.
     """
     rows, path = read_rows(run / "curve.jsonl"), run / "config.json"
     if not rows:
@@ -121,7 +121,6 @@ def training_summary(run: Path) -> dict[str, Any] | None:
         "person_started_from": config.get("human_policy"),
         "candidates": about.get("candidates"),
         "restart_share": config.get("restart_share", 0.0),
-        "target_kl": config.get("target_kl", 0.0),
         **{name: about.get(name) for name in ("commit", "device", "versions", "time")},
     }
 

@@ -42,7 +42,7 @@ POLICIES = RESULTS.parent.parent / "assets" / "policies"
 FOR_GENTLENESS = 0.05
 """Success that a policy may lack, compared with the one that it replaces."""
 LARGEST = 1_000_000  # bytes of a policy file; the largest networks take 740 kB
-ABOUT = "cost_limit", "cost_multiplier_max", "cost_margin", "started_from", "candidates", "restart_share"  # fmt: skip
+ABOUT = "cost_limit", "cost_multiplier_max", "cost_margin", "started_from", "person_started_from", "candidates", "restart_share"  # fmt: skip
 """Fields of a training that its choice is kept with, if it had a cost limit, a memory or restarts, or began with a policy."""
 MEASURED = ("commit", "device", "versions", "time", "impl")
 """Fields of a choice that hold for everything measured with it."""

@@ -43,7 +43,11 @@ def _begun(line: Line) -> str:
     policy, active = line.get("started_from"), parse(line["env"]).active
     if policy is None:
         return "a new policy"
-    if active and policy == f"assets/policies/{line['env']}.npz":
+    of_pair = (
+        policy == f"assets/policies/{line['env']}.npz"
+        or line.get("person_started_from") == "shipped"
+    )
+    if active and of_pair:
         return "the pair before"
     if policy != "shipped":
         return "one that did not ship"

@@ -248,7 +248,8 @@ class CoopConfig(LearnConfig):
     freeze_robot: bool = False
     """Do not train --robot-policy; it acts by the mode of its distribution."""
     human_policy: str | None = None
-    """Policy file from which the person's training starts."""
+    """Policy from which the person's training starts: a file, or "shipped" for that of the included pair. With "shipped", --robot-policy
+    shipped is the pair's, too; otherwise it is the policy included for the person who keeps still."""
     freeze_human: bool = False
     """Do not train --human-policy; it acts by the mode of its distribution."""
 

@@ -385,6 +385,13 @@ def test_training_starts_from_the_policy_that_ships(static_env, active_env):
         assert same_bytes(start.weights, ships.weights)
         shapes = jax.tree.map(lambda x: x.shape, learner.agents["robot"].params.policy)
         assert shapes == jax.tree.map(lambda x: x.shape, ships.weights)
+    pair = load_policy(active_env.name)
+    both = Agents(
+        CoopConfig(robot_policy="shipped", human_policy="shipped"), active_env, PAIR
+    ).agents
+    for agent, of_pair in zip(both, (pair.robot, pair.human), strict=True):
+        assert same_bytes(agent.start.weights, of_pair.weights)
+    assert not same_bytes(pair.robot.weights, ships.weights)
     named = PPOConfig(robot_policy=static_env.name)
     (by_id,) = Agents(named, static_env, ("robot",)).agents
     assert same_bytes(by_id.start.weights, ships.weights)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -20,7 +21,7 @@ from brax.training.types import UInt64
 from agym_jax.memory import MEMORY
 from agym_jax.policy.agents import Part, parts
 from agym_jax.policy.check import check_policy
-from agym_jax.policy.files import find_policy
+from agym_jax.policy.files import find_policies, find_policy
 from agym_jax.policy.networks import Architecture, make_networks, mode_action, sample_action
 from agym_jax.policy.policy import Policy, read_policy, shipped
 from agym_jax.registry import static_id
@@ -39,7 +40,7 @@ from .ppo import (
 )
 from .rollout import Batch
 
-SHIPPED = "shipped"  # in place of a file or an id to start from: the robot's policy that ships for the environment
+SHIPPED = "shipped"  # in place of a file or an id to start from: the policy that ships for the environment
 STARTING = ("init_noise_std", "policy_head_gain")  # of an architecture; matter at the start only
 
 
@@ -278,9 +279,7 @@ def _make_agent(config: LearnConfig, env: Any, name: str) -> Agent:
     frozen = getattr(config, f"freeze_{name}", False)
     start = None
     if path is not None:
-        memory = getattr(env, MEMORY, ())
-        if path == SHIPPED or path in shipped():
-            path = find_policy(static_id(env.name) if path == SHIPPED else path, memory=memory)
+        path = _starting_file(config, env, name, path)
         start = read_policy(path)
         check_policy(start, env, path, agent=name, other_people=True, other_settings=not frozen)
         arch = replace(start.arch, value_hidden=arch.value_hidden)
@@ -290,6 +289,20 @@ def _make_agent(config: LearnConfig, env: Any, name: str) -> Agent:
     own = range(size) if central else range(size)[part.observed]
     critic_columns = (*own, *range(size, size + privileged))
     return Agent(name, part, arch, critic_columns, start, frozen)
+
+
+def _starting_file(config: LearnConfig, env: Any, name: str, path: str) -> str | Path:
+    """The file of the policy that an agent begins with.
+
+    A robot's "shipped" is the one for the person who keeps still, unless the person begins with the pair's.
+    """
+    memory, pair = getattr(env, MEMORY, ()), getattr(config, "human_policy", None) == SHIPPED
+    if path == SHIPPED and pair:
+        there = find_policies(env.name, memory=memory)
+        return there.human or path if name == "human" else there.robot
+    if path == SHIPPED or path in shipped():
+        return find_policy(static_id(env.name) if path == SHIPPED else path, memory=memory)
+    return path
 
 
 def _start_from(state: AgentState, policy: Policy) -> AgentState:

@@ -159,7 +159,8 @@ class LearnConfig(EnvFlags):
     """Gain of the initial weights of the policy's last layer (Assistive Gym: 1)."""
 
     robot_policy: str | None = None
-    """Policy from which the robot's training starts: a file, an id, or "shipped" for the policy included for the environment."""
+    """Policy from which the robot's training starts: a file, an id, or "shipped" for the policy included for the environment (of
+    coop: for its passive person, unless --human-policy is shipped, too)."""
     value_warm_up: float | None = None
     """Fraction of the run in which only the value functions learn, so that a policy that can do the task already is not
     spoiled by value functions that know nothing yet. None: 0.05 if training starts from a policy, otherwise 0."""
@@ -248,8 +249,7 @@ class CoopConfig(LearnConfig):
     freeze_robot: bool = False
     """Do not train --robot-policy; it acts by the mode of its distribution."""
     human_policy: str | None = None
-    """Policy from which the person's training starts: a file, or "shipped" for that of the included pair. With "shipped", --robot-policy
-    shipped is the pair's, too; otherwise it is the policy included for the person who keeps still."""
+    """Policy from which the person's training starts: a file, an id, or "shipped" for that of the included pair."""
     freeze_human: bool = False
     """Do not train --human-policy; it acts by the mode of its distribution."""
 

@@ -116,6 +116,10 @@ def test_what_is_known_of_a_finished_run_stays(trained):
     assert [(folder / name).read_bytes() for name in names] == before
     with pytest.raises(CheckpointMismatchError, match=r"is of seed \d+, this run has seed 77"):
         train(FakeEnv(), dataclasses.replace(config, seed=77))
+    with pytest.raises(
+        CheckpointMismatchError, match=r"began without --robot-policy. Leave --robot-policy \S+ out"
+    ):
+        train(FakeEnv(), dataclasses.replace(config, robot_policy=str(folder / "policy.npz")))
     (folder / "policy.npz").unlink()  # lost: the checkpoint has it
     train(FakeEnv(), config)
     assert (folder / "policy.npz").is_file()

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from brax.training.types import UInt64
 
+from agym_jax.errors import PolicyNotFoundError
 from agym_jax.memory import MEMORY
 from agym_jax.policy.agents import Part, parts
 from agym_jax.policy.check import check_policy
@@ -295,11 +296,20 @@ def _starting_file(config: LearnConfig, env: Any, name: str, path: str) -> str |
     """The file of the policy that an agent begins with.
 
     A robot's "shipped" is the one for the person who keeps still, unless the person begins with the pair's.
+
+    Raises:
+        PolicyNotFoundError: there is none.
     """
     memory, pair = getattr(env, MEMORY, ()), getattr(config, "human_policy", None) == SHIPPED
+    if name == "human" and (path == SHIPPED or path in shipped()):
+        there = find_policies(env.name if path == SHIPPED else path, memory=memory)
+        if there.human is None:
+            raise PolicyNotFoundError(
+                f"agym_jax ships no policy of a person for {path if path in shipped() else env.name!r}. Use --human-policy FILE."
+            )
+        return there.human
     if path == SHIPPED and pair:
-        there = find_policies(env.name, memory=memory)
-        return there.human or path if name == "human" else there.robot
+        return find_policies(env.name, memory=memory).robot
     if path == SHIPPED or path in shipped():
         return find_policy(static_id(env.name) if path == SHIPPED else path, memory=memory)
     return path

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from agym_jax.data.npz import check_writable
@@ -123,12 +124,33 @@ class CheckpointManager:
                 f"{found.path} is of seed {seed}, this run has seed {self._config.seed}. Continue with --seed {seed}, choose another "
                 f"--save-dir, or start over with --fresh (which moves the old run aside)."
             )
+        self._check_starts(found.path, meta.get("config", {}))
         self.combined, self.seconds = meta["curve"], meta["seconds"]
         self.curves = meta.get("curves") or [self.combined]
         self.stopped = dict(meta.get("stopped", {}))
         self.candidates = meta.get("candidates")
         self.saved_steps = steps_of(found.learner)
         return found.learner, meta
+
+    def _check_starts(self, path: Path, was: Mapping[str, Any]) -> None:
+        """Reject a run that began with a policy where this one does not, or the other way round: it would learn otherwise from here on.
+
+        Raises:
+            CheckpointMismatchError: it did.
+        """
+        for name in ("robot_policy", "human_policy"):
+            before, now, flag = (
+                was.get(name),
+                getattr(self._config, name, None),
+                f"--{name.replace('_', '-')}",
+            )
+            if name in was and bool(before) != bool(now):
+                began = f"began with {flag} {before}" if before else f"began without {flag}"
+                needed = f"Add {flag} {before}" if before else f"Leave {flag} {now} out"
+                raise CheckpointMismatchError(
+                    f"{path} is of a run that {began}. {needed}, choose another --save-dir, or start over with --fresh (which moves "
+                    f"the old run aside)."
+                )
 
     def begin(self, learner: Any, complete: bool = False) -> None:
         """Write down the settings, the curves as far as they are valid, and a checkpoint if there is none yet.

@@ -35,15 +35,8 @@ def gentle(folder: Path = RESULTS) -> str:
         "the policy before": lambda x: figures(x["shipped"]),
     }
     by = (
-        "env",
-        "cost_limit",
-        "cost_multiplier_max",
-        "cost_margin",
-        "started_from",
-        "person_started_from",
-        "statistics",
-        "num_env_steps",
-    )
+        "env", "cost_limit", "cost_multiplier_max", "cost_margin", "started_from", "person_started_from", "statistics", "num_env_steps",
+    )  # fmt: skip
     return _of_runs(read_results("gentle", by, folder), columns)
 
 

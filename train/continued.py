@@ -10,16 +10,12 @@ WARM_UP = 0.05
 """Fraction of a run that starts from a policy in which only the value functions learn."""
 
 
-def starts_from_a_policy(config: Any) -> bool:
-    """Return whether a policy that training starts from, the robot's or the person's, is trained further."""
-    return any(
-        getattr(config, f"{agent}_policy", None) and not getattr(config, f"freeze_{agent}", False)
-        for agent in ("robot", "human")
-    )
-
-
 def value_warm_up(config: Any) -> float:
     """Return the fraction of the run in which only the value functions learn, also where the settings leave it open."""
     if config.value_warm_up is not None:
         return config.value_warm_up
-    return WARM_UP if starts_from_a_policy(config) else 0.0
+    goes_on = any(
+        getattr(config, f"{agent}_policy", None) and not getattr(config, f"freeze_{agent}", False)
+        for agent in ("robot", "human")
+    )
+    return WARM_UP if goes_on else 0.0

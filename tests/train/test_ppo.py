@@ -15,6 +15,7 @@ from train_runs import check_continued, check_restored, kill_in_training, listen
 
 from agym_jax.errors import BufferOverflowError, SaveFolderError
 from agym_jax.policy import load_policy
+from agym_jax.policy.policy import read_policy
 from train.configs import PPOConfig
 from train.errors import ActiveHumanError, CheckpointMismatchError, DivergedError
 from train.evaluate import Evaluator
@@ -135,6 +136,18 @@ def test_another_network_in_the_same_folder_is_refused_before_compiling(trained)
     ):
         train(env, config)
     assert env.traces["step"] == 0
+
+
+def test_a_run_that_began_with_a_policy_is_resumed_with_it(trained, tmp_path):
+    start = str(trained[2] / "policy.npz")
+    began = dataclasses.replace(SMALL, save_dir=str(tmp_path), robot_policy=start)
+    before, after = read_policy(start), train(FakeEnv(), began).policy
+    assert np.array_equal(before.mean, after.mean) and np.array_equal(before.std, after.std)
+    with pytest.raises(
+        CheckpointMismatchError,
+        match=r"began with --robot-policy \S+. Add --robot-policy \S+policy.npz,",
+    ):
+        train(FakeEnv(), dataclasses.replace(began, robot_policy=None, num_env_steps=160))
 
 
 def test_fresh_moves_the_old_run_aside(tmp_path):

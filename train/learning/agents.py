@@ -300,19 +300,21 @@ def _starting_file(config: LearnConfig, env: Any, name: str, path: str) -> str |
     Raises:
         PolicyNotFoundError: there is none.
     """
-    memory, pair = getattr(env, MEMORY, ()), getattr(config, "human_policy", None) == SHIPPED
-    if name == "human" and (path == SHIPPED or path in shipped()):
-        there = find_policies(env.name if path == SHIPPED else path, memory=memory)
-        if there.human is None:
-            raise PolicyNotFoundError(
-                f"agym_jax ships no policy of a person for {path if path in shipped() else env.name!r}. Use --human-policy FILE."
-            )
-        return there.human
-    if path == SHIPPED and pair:
-        return find_policies(env.name, memory=memory).robot
-    if path == SHIPPED or path in shipped():
-        return find_policy(static_id(env.name) if path == SHIPPED else path, memory=memory)
-    return path
+    if path != SHIPPED and path not in shipped():
+        return path
+    of_pair = getattr(config, "human_policy", None) == SHIPPED
+    env_name = env.name if of_pair else static_id(env.name)
+    if path != SHIPPED:
+        env_name = path
+    memory = getattr(env, MEMORY, ())
+    if name != "human":
+        return find_policy(env_name, memory=memory)
+    human = find_policies(env_name, memory=memory).human
+    if human is None:
+        raise PolicyNotFoundError(
+            f"agym_jax ships no policy of a person for {env_name!r}. Use --human-policy FILE."
+        )
+    return human
 
 
 def _start_from(state: AgentState, policy: Policy) -> AgentState:

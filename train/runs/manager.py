@@ -139,11 +139,8 @@ class CheckpointManager:
             CheckpointMismatchError: it did.
         """
         for name in ("robot_policy", "human_policy"):
-            before, now, flag = (
-                was.get(name),
-                getattr(self._config, name, None),
-                f"--{name.replace('_', '-')}",
-            )
+            flag = f"--{name.replace('_', '-')}"
+            before, now = was.get(name), getattr(self._config, name, None)
             if name in was and bool(before) != bool(now):
                 began = f"began with {flag} {before}" if before else f"began without {flag}"
                 needed = f"Add {flag} {before}" if before else f"Leave {flag} {now} out"

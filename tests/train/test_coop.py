@@ -394,7 +394,9 @@ def test_training_starts_from_the_policy_that_ships(static_env, active_env):
     assert not same_bytes(pair.robot.weights, ships.weights)
     _, by_id = Agents(CoopConfig(human_policy=active_env.name), active_env, PAIR).agents
     assert same_bytes(by_id.start.weights, pair.human.weights)
-    with pytest.raises(PolicyNotFoundError, match=f"no policy of a person for '{static_env.name}'"):
+    with pytest.raises(
+        PolicyNotFoundError, match=f"for '{static_env.name}'. Use --human-policy {active_env.name}"
+    ):
         Agents(CoopConfig(human_policy=static_env.name), active_env, PAIR)
     named = PPOConfig(robot_policy=static_env.name)
     (by_id,) = Agents(named, static_env, ("robot",)).agents

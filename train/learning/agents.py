@@ -25,7 +25,7 @@ from agym_jax.policy.check import check_policy
 from agym_jax.policy.files import find_policies, find_policy
 from agym_jax.policy.networks import Architecture, make_networks, mode_action, sample_action
 from agym_jax.policy.policy import Policy, read_policy, shipped
-from agym_jax.registry import static_id
+from agym_jax.registry import active_id, static_id
 from agym_jax.wrappers import shared_reset_interval
 
 from ..configs import LearnConfig
@@ -312,7 +312,7 @@ def _starting_file(config: LearnConfig, env: Any, name: str, path: str) -> str |
     human = find_policies(env_name, memory=memory).human
     if human is None:
         raise PolicyNotFoundError(
-            f"agym_jax ships no policy of a person for {env_name!r}. Use --human-policy FILE."
+            f"agym_jax ships no policy of a person for {env_name!r}. Use --human-policy {active_id(env_name)}, or a FILE."
         )
     return human
 

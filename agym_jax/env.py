@@ -98,7 +98,7 @@ class AssistiveEnv:
         self.episode_length = task.episode_length
         self.controller = Controller.of(self.scene, task, active, self.humans.masses)
         self.physics = build_physics(self.impl, self.scene, self.controller, task, num_envs)
-        self._starts = load_starts(task, robot)
+        self._starts = load_starts(task, robot, (self.variation or RobotVariation()).rare_starts)
         self.native_rows = None if self.physics.traceable else native_rows_of(self)
         if not self.native_rows:
             as_brax_env(type(self))

@@ -1,4 +1,4 @@
-"""Variation of the robot between episodes: friction, motor strength, latency and sensor noise. Off by default.
+"""Variation of the robot between episodes: friction, motor strength, latency, sensor noise and start poses. Off by default.
 
 A ``RobotVariation`` specifies the ranges; each reset draws a ``RobotDraw``, which is part of the episode's state. Quantities
 that do not vary are None there, so that they add no cost and change nothing.
@@ -43,6 +43,8 @@ class RobotVariation:
         position_noise: standard deviation of the noise on positions that the robot observes [m].
         angle_noise: standard deviation of the noise on observed joint angles and orientations [rad].
         force_noise: standard deviation of the noise on observed forces [N; on the gown's force, in AG's unit].
+        rare_starts: not a range but the fraction of episodes in which rare start poses of the arm are as likely as common ones
+            (``sim.starts.rarity``).
     """
 
     friction: tuple[float, float] = (1.0, 1.0)
@@ -51,15 +53,20 @@ class RobotVariation:
     position_noise: tuple[float, float] = (0.0, 0.0)
     angle_noise: tuple[float, float] = (0.0, 0.0)
     force_noise: tuple[float, float] = (0.0, 0.0)
+    rare_starts: float = 0.0
 
     def __post_init__(self) -> None:
         """Reject ranges from which nothing can be drawn.
 
         Raises:
-            ArgumentError: if a range is not two numbers in ascending order, or exceeds the allowed limits.
+            ArgumentError: if a range is not two numbers in ascending order, or exceeds the allowed limits, or ``rare_starts`` is
+                not a fraction.
         """
-        for field in dataclasses.fields(self):
-            _check_range(field.name, getattr(self, field.name))
+        for name in RANGE:
+            _check_range(name, getattr(self, name))
+        share = self.rare_starts
+        if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
+            raise ArgumentError(f"rare_starts must be a number from 0 to 1, got {share!r}.")
 
     def varies(self, *names: str) -> bool:
         """Return whether any of the named ranges differs from its default; without names, whether any range does."""

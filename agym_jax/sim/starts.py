@@ -19,6 +19,9 @@ from agym_jax.data.banks import Placement, load_bank, load_meets, load_mouths
 from agym_jax.human.posture import load_postures
 from agym_jax.spec import RobotSpec, Task
 
+ALIKE = 0.5
+"""Start poses are alike if all joints are within this [rad]."""
+
 
 @dataclass(frozen=True)
 class Starts:
@@ -27,10 +30,16 @@ class Starts:
     bank: Placement  # K rows
     meets: np.ndarray | None = None  # whether a placement meets a settled posture   (P, K) bool
     mouths: np.ndarray | None = None  # for which each base was chosen, world [m]     (K, 3)
+    rare: float = 0.0  # fraction of episodes drawn by rarity
 
 
-def load_starts(task: Task, robot: RobotSpec) -> Starts:
+def load_starts(task: Task, robot: RobotSpec, rare: float = 0.0) -> Starts:
     """A pair's placements, and whom they meet or for whom they were chosen, where it matters and the bank tells.
+
+    Args:
+        task: the task.
+        robot: the robot.
+        rare: fraction of episodes in which rare start poses are as likely as common ones.
 
     Raises:
         MissingPlacementError: see ``data.banks.load_bank``.
@@ -38,8 +47,32 @@ def load_starts(task: Task, robot: RobotSpec) -> Starts:
     """
     bank, postures = load_bank(task, robot), task.human.postures
     if not postures:
-        return Starts(bank, mouths=load_mouths(task, robot))
-    return Starts(bank, load_meets(task, robot, len(load_postures(postures).sex)))
+        return Starts(bank, mouths=load_mouths(task, robot), rare=rare)
+    return Starts(bank, load_meets(task, robot, len(load_postures(postures).sex)), rare=rare)
+
+
+def rarity(angles: np.ndarray) -> np.ndarray:
+    """Probability with which each placement is drawn if rare start poses are to be as likely as common ones (K,).
+
+    Inverse kinematics finds several families of poses, some of them seldom. A placement counts as many times less as there are
+    placements like it, whose joints are all within ``ALIKE`` of its own.
+
+    Args:
+        angles: of the arm in each placement [rad] (K, n_arm).
+    """
+    weights = 1.0 / (apart(angles, angles) < ALIKE).sum(axis=-1)
+    return weights / weights.sum()
+
+
+def apart(angles: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """How far poses of an arm are apart: the difference of the joint that differs most, without whole turns [rad] (K, L).
+
+    Args:
+        angles: [rad] (K, n_arm).
+        others: [rad] (L, n_arm).
+    """
+    turns = angles[:, None] - others
+    return np.abs((turns + np.pi) % (2 * np.pi) - np.pi).max(axis=-1)
 
 
 def draw_start(
@@ -58,6 +91,11 @@ def draw_start(
     """
     rows = starts.bank.arm_angles.shape[0]
     row = jax.random.randint(key, (), 0, rows)
+    if starts.rare:
+        key_whether, key_row = jax.random.split(jax.random.fold_in(key, 2))
+        rare = jax.random.bernoulli(key_whether, starts.rare)
+        likely = jnp.log(rarity(np.asarray(starts.bank.arm_angles)))
+        row = jnp.where(rare, jax.random.categorical(key_row, likely), row)
     if posture is not None and starts.meets is not None and starts.meets.any():
         # few postures meet anything: those that meet the same share a line of a small table
         lines, line_of = np.unique(starts.meets, axis=0, return_inverse=True)
@@ -73,4 +111,8 @@ def draw_start(
         nearest = jnp.argmin(jnp.linalg.norm(people - jnp.asarray(mouth), axis=-1))
         nth = jax.random.randint(key, (), 0, jnp.asarray(count)[nearest])
         row = jnp.asarray(order)[jnp.asarray(np.cumsum(count) - count)[nearest] + nth]
+        if starts.rare:
+            suits = jnp.asarray(of.reshape(-1)) == nearest
+            among = jax.random.categorical(key_row, jnp.where(suits, likely, -jnp.inf))
+            row = jnp.where(rare, among, row)
     return jax.tree.map(lambda x: jnp.asarray(x)[row], starts.bank)

@@ -19,7 +19,7 @@ from agym_jax.data.banks import Placement, bank_path
 from agym_jax.errors import SpecError
 from agym_jax.offline import placements
 from agym_jax.robots import ROBOTS
-from agym_jax.sim.starts import Starts, draw_start, load_starts
+from agym_jax.sim.starts import Starts, apart, draw_start, load_starts, rarity
 from agym_jax.tasks import TASKS
 
 TASK, ROBOT = TASKS["BedBathing"], ROBOTS["Jaco"]
@@ -59,6 +59,34 @@ def test_a_single_free_placement_is_found():
         meets = np.ones((1, ROWS), bool)
         meets[0, row] = False
         assert (drawn(meets) == row).all()
+
+
+def test_a_pose_counts_as_many_times_less_as_there_are_poses_like_it():
+    turn = 2 * np.pi
+    angles = np.array([[0.0, 0.0], [0.4, 0.0], [turn, 0.1], [2.0, 0.0]])
+    np.testing.assert_allclose(apart(angles, angles)[0], [0.0, 0.4, 0.1, 2.0], atol=1e-9)
+    np.testing.assert_allclose(rarity(angles), [1 / 6, 1 / 6, 1 / 6, 1 / 2])
+
+
+def test_rare_poses_are_drawn_as_often_as_common_ones_in_a_fraction_of_the_episodes():
+    angles = np.zeros((ROWS, 7), np.float32)
+    angles[:, 0] = [0, 0, 0, 0, 0, 0, 0, 2]  # one pose of eight is rare
+    bank = dataclasses.replace(BANK, arm_angles=angles)
+    mouths = np.array([[0, 0, 1], *[[0, 0, 2]] * (ROWS - 1)], float)
+
+    def rows(**kwargs: Any) -> np.ndarray:
+        starts, mouth = Starts(bank, **kwargs), jnp.array([0.0, 0.0, 2.0])
+        place = jax.vmap(lambda key: draw_start(key, starts, None, mouth))(KEYS)
+        return np.asarray(place.base_pos[:, 0]).astype(int)
+
+    usual, half = rows(), rows(rare=0.5)
+    assert (usual == ROWS - 1).mean() == pytest.approx(1 / 8, abs=0.02)
+    assert (half == ROWS - 1).mean() == pytest.approx(0.5 / 8 + 0.5 / 2, abs=0.03)
+    same = (half == usual).mean()  # the other half begins as without rare starts
+    assert same == pytest.approx(0.5 + 0.5 / 8, abs=0.03)
+    suited = rows(mouths=mouths, rare=1.0)  # row 0 is of another mouth
+    assert (suited > 0).all()
+    assert (suited == ROWS - 1).mean() == pytest.approx((1 / 2) / (1 / 2 + 6 / 14), abs=0.03)
 
 
 def test_a_person_gets_one_of_the_bases_chosen_for_the_nearest_mouth():

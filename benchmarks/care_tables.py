@@ -173,6 +173,23 @@ def care(folder: Path = RESULTS) -> str:
     return table(among_everybody(folder), columns, ORDER, "Mode;")
 
 
+def starts(folder: Path = RESULTS) -> str:
+    """Success by the family of poses in which the arm begins."""
+
+    def of(family: dict[str, Any]) -> str:
+        return f"{family['successes'] / family['episodes']:.0%} of {family['episodes']}"
+
+    columns = {
+        "environment": ORDER,
+        "episodes": lambda x: f"{x['episodes']:,}",
+        "success": percent("success"),
+        "by family of start poses, the most frequent first": lambda x: ", ".join(
+            map(of, x["families"])
+        ),
+    }
+    return table(read_results("starts", ("env",), folder), columns, ORDER)
+
+
 def endings(folder: Path = RESULTS) -> str:
     """How the episodes end that fail."""
     lines = read_results("endings", ("env",), folder)

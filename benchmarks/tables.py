@@ -86,6 +86,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "everybody": care_tables.everybody,
     "shortfalls": care_tables.shortfalls,
     "endings": care_tables.endings,
+    "starts": care_tables.starts,
     "dressing-arms": care_tables.dressing_arms,
     "care": care_tables.care,
     "rough": care_tables.rough,

@@ -128,7 +128,7 @@ def test_make_it_yours_runs():
     assert set(names["env"].changes) == {
         f"robot.{x}"
         for x in (
-            "friction", "strength", "latency", "position_noise", "angle_noise", "force_noise",
+            "friction", "strength", "latency", "position_noise", "angle_noise", "force_noise", "rare_starts",
         )
     }  # fmt: skip
 

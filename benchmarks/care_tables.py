@@ -175,19 +175,31 @@ def care(folder: Path = RESULTS) -> str:
 
 def starts(folder: Path = RESULTS) -> str:
     """Success by the family of poses in which the arm begins."""
+    lines = read_results("starts", ("env",), folder)
+    worst = {x["env"]: _worst(x) for x in lines}
 
-    def of(family: dict[str, Any]) -> str:
-        return f"{family['successes'] / family['episodes']:.0%} of {family['episodes']}"
+    def failures(line: Line) -> str:
+        def failed(families: list[dict[str, Any]]) -> int:
+            return sum(y["episodes"] - y["successes"] for y in families)
+
+        return f"{failed(worst[line['env']])} of {failed(line['families'])}"
 
     columns = {
         "environment": ORDER,
         "episodes": lambda x: f"{x['episodes']:,}",
         "success": percent("success"),
-        "by family of start poses, the most frequent first": lambda x: ", ".join(
-            map(of, x["families"])
+        "the three families of start poses with the least success": lambda x: ", ".join(
+            f"{y['successes'] / y['episodes']:.0%} of {y['episodes']}" for y in worst[x["env"]]
         ),
+        "failures that begin there": failures,
     }
-    return table(read_results("starts", ("env",), folder), columns, ORDER)
+    return table(lines, columns, ORDER)
+
+
+def _worst(line: Line, count: int = 3, share: float = 0.02) -> list[dict[str, Any]]:
+    """Families of at least that share of the episodes with the least success."""
+    many = [y for y in line["families"] if y["episodes"] >= share * line["episodes"]]
+    return sorted(many, key=lambda y: y["successes"] / y["episodes"])[:count]
 
 
 def endings(folder: Path = RESULTS) -> str:

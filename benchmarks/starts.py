@@ -22,13 +22,10 @@ import tyro
 from agym_jax.data.banks import load_bank
 from agym_jax.flags import Count
 from agym_jax.policy.files import find_policies, load_policies
-from agym_jax.sim.starts import apart
+from agym_jax.sim.starts import ALIKE, apart
 from benchmarks.keep import keep_of_shipped
 from train.envs import make_env
 from train.evaluation.evaluator import AT_ONCE, Evaluator
-
-ACROSS = 1.0
-"""Poses are of a family if all joints are within this of those in its middle [rad]."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +43,12 @@ class StartsConfig:
 
 
 def families(angles: np.ndarray) -> np.ndarray:
-    """Rows in the middle of each family of poses, the largest family first (F,).
+    """Rows in the middle of each family: the pose that most others are like, and so on with those that are left (F,).
 
     Args:
         angles: of the arm [rad] (K, n_arm).
     """
-    alike = apart(angles, angles) < ACROSS
+    alike = apart(angles, angles) < ALIKE
     left, found = np.ones(len(angles), bool), []
     while left.any():
         middle = int(np.argmax(np.where(left, (alike & left).sum(axis=1), 0)))
@@ -101,8 +98,8 @@ def measure(env_name: str, config: StartsConfig) -> dict[str, Any]:
         "episodes": config.num_episodes,
         "seed": config.seed,
         "success": result.success,
-        "across": ACROSS,
-        "families": found,
+        "alike": ALIKE,
+        "families": sorted(found, key=lambda x: -x["episodes"]),
     }
 
 

@@ -80,7 +80,7 @@ def measure(env_name: str, config: StartsConfig) -> dict[str, Any]:
     middles = bank[families(bank)]
     of = apart(np.concatenate(begun), middles).argmin(axis=1)
     gentle = result.gentle_successes
-    found = []
+    found: list[dict[str, Any]] = []
     for family, middle in enumerate(middles):
         here = of == family
         if here.any():

@@ -91,11 +91,7 @@ def draw_start(
     """
     rows = starts.bank.arm_angles.shape[0]
     row = jax.random.randint(key, (), 0, rows)
-    if starts.rare:
-        key_whether, key_row = jax.random.split(jax.random.fold_in(key, 2))
-        rare = jax.random.bernoulli(key_whether, starts.rare)
-        likely = jnp.log(rarity(np.asarray(starts.bank.arm_angles)))
-        row = jnp.where(rare, jax.random.categorical(key_row, likely), row)
+    row = _by_rarity(key, starts, row)
     if posture is not None and starts.meets is not None and starts.meets.any():
         # few postures meet anything: those that meet the same share a line of a small table
         lines, line_of = np.unique(starts.meets, axis=0, return_inverse=True)
@@ -111,8 +107,16 @@ def draw_start(
         nearest = jnp.argmin(jnp.linalg.norm(people - jnp.asarray(mouth), axis=-1))
         nth = jax.random.randint(key, (), 0, jnp.asarray(count)[nearest])
         row = jnp.asarray(order)[jnp.asarray(np.cumsum(count) - count)[nearest] + nth]
-        if starts.rare:
-            suits = jnp.asarray(of.reshape(-1)) == nearest
-            among = jax.random.categorical(key_row, jnp.where(suits, likely, -jnp.inf))
-            row = jnp.where(rare, among, row)
+        row = _by_rarity(key, starts, row, jnp.asarray(of.reshape(-1)) == nearest)
     return jax.tree.map(lambda x: jnp.asarray(x)[row], starts.bank)
+
+
+def _by_rarity(key: Array, starts: Starts, row: Array, suits: Array | None = None) -> Array:
+    """In a fraction of the episodes, another row, drawn by ``rarity`` among those that suit (K,), or all."""
+    if not starts.rare:
+        return row
+    key_whether, key_row = jax.random.split(jax.random.fold_in(key, 2))
+    weights = jnp.asarray(rarity(np.asarray(starts.bank.arm_angles)))
+    weights = weights if suits is None else jnp.where(suits, weights, 0.0)
+    other = jax.random.categorical(key_row, jnp.log(weights))
+    return jnp.where(jax.random.bernoulli(key_whether, starts.rare), other, row)

@@ -15,7 +15,12 @@ from benchmarks import starts
 def test_families_are_poses_around_the_one_that_most_are_like():
     angles = np.array([[0.3], [0.0], [-0.4], [0.7], [3.1], [3.2 - 2 * np.pi], [1.7]])
     middles = starts.families(angles)
-    assert middles.tolist() == [0, 4, 2, 6]  # 0.3 has two like it, 3.1 one, and then one is left of each
+    assert middles.tolist() == [
+        0,
+        4,
+        2,
+        6,
+    ]  # 0.3 has two like it, 3.1 one, and then one is left of each
 
 
 def test_successes_are_counted_by_family(monkeypatch: pytest.MonkeyPatch):

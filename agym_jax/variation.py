@@ -34,7 +34,7 @@ BEYOND = 0x0B07
 
 @dataclass(frozen=True)
 class RobotVariation:
-    """Ranges (low, high) from which each episode draws its robot uniformly. By default robots do not vary.
+    """Ranges (low, high) from which each episode draws its robot uniformly, and the fraction ``rare_starts``. By default robots do not vary.
 
     Attributes:
         friction: factor on the friction of the tool and the robot with everything they touch [1].
@@ -43,8 +43,7 @@ class RobotVariation:
         position_noise: standard deviation of the noise on positions that the robot observes [m].
         angle_noise: standard deviation of the noise on observed joint angles and orientations [rad].
         force_noise: standard deviation of the noise on observed forces [N; on the gown's force, in AG's unit].
-        rare_starts: not a range but the fraction of episodes in which rare start poses of the arm are as likely as common ones
-            (``sim.starts.rarity``).
+        rare_starts: fraction of episodes in which rare start poses of the arm are as likely as common ones [1].
     """
 
     friction: tuple[float, float] = (1.0, 1.0)

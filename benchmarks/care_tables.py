@@ -178,11 +178,8 @@ def starts(folder: Path = RESULTS) -> str:
     lines = read_results("starts", ("env",), folder)
     worst = {x["env"]: _worst(x) for x in lines}
 
-    def failures(line: Line) -> str:
-        def failed(families: list[dict[str, Any]]) -> int:
-            return sum(y["episodes"] - y["successes"] for y in families)
-
-        return f"{failed(worst[line['env']])} of {failed(line['families'])}"
+    def failed(families: list[dict[str, Any]]) -> int:
+        return sum(y["episodes"] - y["successes"] for y in families)
 
     columns = {
         "environment": ORDER,
@@ -191,7 +188,9 @@ def starts(folder: Path = RESULTS) -> str:
         "the three families of start poses with the least success": lambda x: ", ".join(
             f"{y['successes'] / y['episodes']:.0%} of {y['episodes']}" for y in worst[x["env"]]
         ),
-        "failures that begin there": failures,
+        "failures that begin there": lambda x: (
+            f"{failed(worst[x['env']])} of {failed(x['families'])}"
+        ),
     }
     return table(lines, columns, ORDER)
 

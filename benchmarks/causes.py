@@ -15,8 +15,7 @@ import itertools
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import numpy as np
@@ -28,25 +27,21 @@ from agym_jax.flags import Count
 from agym_jax.human.regions import NAMES
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.sim.impulse import Balance, watch
-from benchmarks.keep import keep_of_shipped
+from benchmarks.keep import ShippedConfig, keep_of_shipped
 from train.envs import make_env
 from train.evaluation.evaluator import AT_ONCE, Evaluator
 
 
 @dataclass(frozen=True)
-class CausesConfig:
+class CausesConfig(ShippedConfig):
     """Flags of ``python -m benchmarks.causes``."""
 
-    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Parts of ids, such as Jaco or ScratchItchPR2-v0; without them, all whose policies ship."""
     num_episodes: Count = 1000
     """Episodes of each; 64 run at a time."""
     steps: Count = 100
     """Control steps of each that are accounted for."""
     seed: int = 5001
     """Of the episodes."""
-    json: Path | None = None
-    """File to which each result is added as a JSON line."""
 
 
 class Hardest:

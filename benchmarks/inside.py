@@ -12,8 +12,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import mujoco
@@ -25,7 +24,7 @@ from agym_jax.flags import Count
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.sim.scene import compose
 from agym_jax.spec import Pose
-from benchmarks.keep import keep_of_shipped
+from benchmarks.keep import ShippedConfig, keep_of_shipped
 from benchmarks.reach import DEEPEST, moving_parts
 from train.envs import make_env
 
@@ -34,17 +33,13 @@ EVERY = 5
 
 
 @dataclass(frozen=True)
-class InsideConfig:
+class InsideConfig(ShippedConfig):
     """Flags of ``python -m benchmarks.inside``."""
 
-    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Parts of ids, such as Jaco or ScratchItchPR2-v0; without them, all whose policies ship."""
     num_episodes: Count = 5
     """Episodes of each."""
     seed: int = 0
     """Seed of the first episode; the next ones have the numbers after it."""
-    json: Path | None = None
-    """File to which each result is added as a JSON line."""
 
 
 class Solid:

@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import tyro
 
 from agym_jax.errors import AgymError
 from agym_jax.policy.policy import shipped
 from train.suites.plan import named
+
+
+@dataclass(frozen=True)
+class ShippedConfig:
+    """Flags of every benchmark of policies that ship; base class for those of one."""
+
+    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Parts of ids, such as Jaco or ScratchItchPR2-v0; without them, all whose policies ship."""
+    json: Path | None = None
+    """File to which each result is added as a JSON line."""
 
 
 def keep(

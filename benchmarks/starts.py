@@ -12,8 +12,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import numpy as np
@@ -23,23 +22,19 @@ from agym_jax.data.banks import load_bank
 from agym_jax.flags import Count
 from agym_jax.policy.files import find_policies, load_policies
 from agym_jax.sim.starts import ALIKE, apart
-from benchmarks.keep import keep_of_shipped
+from benchmarks.keep import ShippedConfig, keep_of_shipped
 from train.envs import make_env
 from train.evaluation.evaluator import AT_ONCE, Evaluator
 
 
 @dataclass(frozen=True)
-class StartsConfig:
+class StartsConfig(ShippedConfig):
     """Flags of ``python -m benchmarks.starts``."""
 
-    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Parts of ids, such as Jaco or DrinkingBaxter-v0; without them, all whose policies ship."""
     num_episodes: Count = 512
     """Episodes of each."""
     seed: int = 5001
     """Of the episodes."""
-    json: Path | None = None
-    """File to which each result is added as a JSON line."""
 
 
 def families(angles: np.ndarray) -> np.ndarray:

@@ -195,6 +195,10 @@ def test_it_belongs_to_what_the_environment_is():
         ({"latency": (0, 21)}, "<= 20"),
         ({"latency": (True, 2)}, "whole"),
         ({"angle_noise": (0.0, float("inf"))}, "finite"),
+        ({"rare_starts": 1.5}, "from 0 to 1, got 1.5"),
+        ({"rare_starts": (0.0, 1.0)}, "from 0 to 1"),
+        ({"rare_starts": float("nan")}, "from 0 to 1"),
+        ({"rare_starts": True}, "got True"),
     ],
 )
 def test_ranges_that_make_no_sense_are_refused(fields, told):

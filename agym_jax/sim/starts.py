@@ -81,7 +81,8 @@ def draw_start(
     """Draw a placement that suits the person.
 
     Where one meets the person, another one is drawn that does not, if there is one; where the bank tells for which
-    mouths its bases were chosen, one of those for the nearest mouth.
+    mouths its bases were chosen, one of those for the nearest mouth. In the fraction ``starts.rare`` of the episodes, what is
+    drawn first is drawn by ``rarity``.
 
     Args:
         key: PRNG key.
@@ -91,7 +92,15 @@ def draw_start(
     """
     rows = starts.bank.arm_angles.shape[0]
     row = jax.random.randint(key, (), 0, rows)
-    row = _by_rarity(key, starts, row)
+    suits = None
+    if starts.mouths is not None:
+        people, of = np.unique(starts.mouths, axis=0, return_inverse=True)
+        order, count = np.argsort(of.reshape(-1), kind="stable"), np.bincount(of.reshape(-1))
+        nearest = jnp.argmin(jnp.linalg.norm(people - jnp.asarray(mouth), axis=-1))
+        nth = jax.random.randint(key, (), 0, jnp.asarray(count)[nearest])
+        row = jnp.asarray(order)[jnp.asarray(np.cumsum(count) - count)[nearest] + nth]
+        suits = jnp.asarray(of.reshape(-1)) == nearest
+    row = _by_rarity(key, starts, row, suits)
     if posture is not None and starts.meets is not None and starts.meets.any():
         # few postures meet anything: those that meet the same share a line of a small table
         lines, line_of = np.unique(starts.meets, axis=0, return_inverse=True)
@@ -101,18 +110,11 @@ def draw_start(
         nth = jax.random.randint(jax.random.fold_in(key, 1), (), 0, jnp.maximum(free, 1))
         again = jnp.asarray(order)[line, nth]
         row = jnp.where(jnp.asarray(lines)[line, row] & (free > 0), again, row)
-    if starts.mouths is not None:
-        people, of = np.unique(starts.mouths, axis=0, return_inverse=True)
-        order, count = np.argsort(of.reshape(-1), kind="stable"), np.bincount(of.reshape(-1))
-        nearest = jnp.argmin(jnp.linalg.norm(people - jnp.asarray(mouth), axis=-1))
-        nth = jax.random.randint(key, (), 0, jnp.asarray(count)[nearest])
-        row = jnp.asarray(order)[jnp.asarray(np.cumsum(count) - count)[nearest] + nth]
-        row = _by_rarity(key, starts, row, jnp.asarray(of.reshape(-1)) == nearest)
     return jax.tree.map(lambda x: jnp.asarray(x)[row], starts.bank)
 
 
 def _by_rarity(key: Array, starts: Starts, row: Array, suits: Array | None = None) -> Array:
-    """In a fraction of the episodes, another row, drawn by ``rarity`` among those that suit (K,), or all."""
+    """In the fraction ``starts.rare`` of the episodes, another row, drawn by ``rarity`` among those that suit (K,), or all."""
     if not starts.rare:
         return row
     key_whether, key_row = jax.random.split(jax.random.fold_in(key, 2))

@@ -15,12 +15,8 @@ from benchmarks import starts
 def test_families_are_poses_around_the_one_that_most_are_like():
     angles = np.array([[0.3], [0.0], [-0.4], [0.7], [3.1], [3.2 - 2 * np.pi], [1.7]])
     middles = starts.families(angles)
-    assert middles.tolist() == [
-        0,
-        4,
-        2,
-        6,
-    ]  # 0.3 has two like it, 3.1 one, and then one is left of each
+    # 0.3 has two like it, 3.1 one, and then one is left of each
+    assert middles.tolist() == [0, 4, 2, 6]
 
 
 def test_successes_are_counted_by_family(monkeypatch: pytest.MonkeyPatch):
@@ -35,9 +31,8 @@ def test_successes_are_counted_by_family(monkeypatch: pytest.MonkeyPatch):
             self.count = num_episodes
 
         def __call__(self, policy: Any, key: Any, watch: Any) -> SimpleNamespace:
-            for part in np.split(
-                begun, 2
-            ):  # two batches of two, each with a first state and two steps
+            # two batches of two, each with a first state and two steps
+            for part in np.split(begun, 2):
                 for step in range(3):
                     angles = part + step  # only where they begin counts
                     placement = SimpleNamespace(arm_angles=angles)

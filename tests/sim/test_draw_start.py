@@ -89,6 +89,17 @@ def test_rare_poses_are_drawn_as_often_as_common_ones_in_a_fraction_of_the_episo
     assert (suited == ROWS - 1).mean() == pytest.approx((1 / 2) / (1 / 2 + 6 / 14), abs=0.03)
 
 
+def test_rare_starts_of_an_environment_are_drawn_from_its_bank():
+    variation = agym_jax.RobotVariation(rare_starts=0.5)
+    env = agym_jax.make("DrinkingBaxter-v0", impl="native", robot=variation)
+    assert env._starts.rare == 0.5
+    assert agym_jax.make("DrinkingBaxter-v0", impl="native")._starts.rare == 0.0
+    angles = np.asarray(env._starts.bank.arm_angles)
+    at_limit = angles[:, 5] < -1.54  # of the wrist's bend
+    assert at_limit.mean() == pytest.approx(0.07, abs=0.005)
+    assert rarity(angles)[at_limit].sum() == pytest.approx(0.26, abs=0.005)
+
+
 def test_a_person_gets_one_of_the_bases_chosen_for_the_nearest_mouth():
     mouths = np.array([[0, 0, 1], [0, 0, 2], [0, 0, 1], [0, 0, 3], [0, 0, 1], [0, 0, 2], [0, 0, 3], [0, 0, 3]], float)  # fmt: skip
     starts = Starts(BANK, mouths=mouths)

@@ -14,6 +14,7 @@ from benchmarks import markdown
 from benchmarks.care_tables import among_everybody, worst_group
 from benchmarks.markdown import EARLIER, NOTHING, RESULTS, Line
 from benchmarks.policy_tables import COMMIT, seeds_and_steps, seeds_in_percent
+from benchmarks.suite_tables import newest_suite
 from benchmarks.trained import trained_among
 from train.runs.overview import share
 
@@ -78,12 +79,12 @@ def without_memory(folder: Path) -> dict[str, list[Line]]:
     """Environment -> the newest choices without a memory, of the suite and of a training of its own, with the settings of the id."""
     found: dict[str, list[Line]] = {}
     trainings = {x["env"]: x for x in markdown.read_results("seed_training", ("env",), folder)}
-    for name in ("suite", "selection"):
-        for line in markdown.read_results(name, ("env",), folder):
-            if not line.get("trained_with"):
-                training = line.get("training") or trainings.get(line["env"], {})
-                line |= {"candidates": training.get("candidates")}
-                found.setdefault(line["env"], []).append(line)
+    alone = newest_suite(folder, active=False, limited=False)
+    for line in (*alone, *markdown.read_results("selection", ("env",), folder)):
+        if not line.get("trained_with"):
+            training = line.get("training") or trainings.get(line["env"], {})
+            line |= {"candidates": training.get("candidates")}
+            found.setdefault(line["env"], []).append(line)
     return {env: sorted(lines, key=itemgetter("num_env_steps")) for env, lines in found.items()}
 
 

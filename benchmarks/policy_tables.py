@@ -11,7 +11,7 @@ from agym_jax.data.assets import asset_root
 from agym_jax.data.npz import read_npz
 from agym_jax.errors import ArgumentError
 from agym_jax.policy.policy import shipped
-from agym_jax.registry import parse, static_id
+from agym_jax.registry import static_id
 from benchmarks.markdown import (
     NOTHING,
     RESULTS,
@@ -158,47 +158,21 @@ def selections(folder: Path = RESULTS) -> str:
         return TRAININGS[name] if name else ""
 
     of = [training(line) for line in lines]
-    rows = [
-        [*row, policy(line)] for row, line in zip(_rows_of_seeds(lines, of), lines, strict=True)
-    ]
+    rows = [[*row, policy(line)] for row, line in zip(rows_of_seeds(lines, of), lines, strict=True)]
     episodes = several(f"{x['episodes']:,}" for x in lines)
     took = sum(x["wall_seconds"] or x["train_seconds"] for x in of if x)
     note = f"{episodes} episodes of each seed, mode; all trainings one after another: {duration(took)};"
     return grid([(*overview.HEADINGS, "the policy that ships"), *rows], lines, note)
 
 
-def suite(folder: Path = RESULTS) -> str:
-    """What the seeds of the newest suite of robots achieve, all trained by one command, and how long the whole took."""
-    return _suite(folder, active=False)
-
-
-def suite_pairs(folder: Path = RESULTS) -> str:
-    """The same of the newest suite of pairs."""
-    return _suite(folder, active=True)
-
-
-def _suite(folder: Path, active: bool) -> str:
-    lines = read_results("suite", ("env", "time"), folder)
-    found = [x for x in lines if parse(x["env"]).active == active]
-    if not found:
-        return NOTHING
-    whole = max(found, key=itemgetter("time"))["suite"]
-    lines = sorted((x for x in found if x["suite"] == whole), key=itemgetter("env"))
-    rows = _rows_of_seeds(lines, [x["training"] for x in lines])
-    steps = sum(len(x["seeds"]) * x["num_env_steps"] for x in lines)
-    episodes = several(f"{x['episodes']:,}" for x in lines)
-    note = (
-        f"{len(lines)} environments, {steps / 1e9:.2f} billion steps in all, trained and evaluated in {duration(whole['seconds'])} on "
-        f"{whole['gpus']} GPU{'s' * (whole['gpus'] > 1)}, by processes that took {duration(whole['process_seconds'])} in all; "
-        f"{episodes} episodes of each seed, mode;"
-    )
-    return grid([overview.HEADINGS, *rows], lines, note)
-
-
-def _rows_of_seeds(lines: Sequence[Line], trainings: Sequence[Line | None]) -> list[list[str]]:
+def rows_of_seeds(lines: Sequence[Line], trainings: Sequence[Line | None]) -> list[list[str]]:
     """Rows under ``overview.HEADINGS``, with a sign where the physics has changed since."""
+    return signed([overview.cells(*both) for both in zip(lines, trainings, strict=True)], lines)
+
+
+def signed(rows: Sequence[Sequence[str]], lines: Sequence[Line]) -> list[list[str]]:
+    """Rows, with a sign after the environments of which the physics has changed since."""
     sign = mark(lines)
-    rows = [overview.cells(*both) for both in zip(lines, trainings, strict=True)]
     return [[row[0] + sign(line), *row[1:]] for row, line in zip(rows, lines, strict=True)]
 
 

@@ -21,6 +21,7 @@ from benchmarks import (
     policy_tables,
     restart_tables,
     speed_tables,
+    suite_tables,
     training_tables,
 )
 from benchmarks.markdown import DATES, RESULTS
@@ -47,8 +48,9 @@ TABLES: dict[str, Callable[..., str]] = {
     "chosen-among": policy_tables.chosen_among,
     "policies": policy_tables.policies,
     "selections": policy_tables.selections,
-    "suite": policy_tables.suite,
-    "suite-pairs": policy_tables.suite_pairs,
+    "suite": suite_tables.suite,
+    "suite-gentle": suite_tables.suite_gentle,
+    "suite-pairs": suite_tables.suite_pairs,
     "memory-trainings": memory_tables.trainings,
     "memory-policies": memory_tables.policies,
     "restarts": restart_tables.trainings,

@@ -15,7 +15,14 @@ from fake_pair_env import FakePairEnv
 
 from agym_jax.policy.policy import read_policy
 from benchmarks import collect as collecting
-from benchmarks import continued_tables, markdown, policy_tables, seed_curves, shipped
+from benchmarks import (
+    continued_tables,
+    markdown,
+    policy_tables,
+    seed_curves,
+    shipped,
+    suite_tables,
+)
 from benchmarks.setting_as_run import SettingError, setting_as_run
 from train import coop, ppo, select
 from train.configs import CoopConfig, PPOConfig
@@ -141,14 +148,29 @@ def test_a_suite_is_kept_as_a_whole_with_its_time(runs, repository, capsys):
     assert line["suite"] == {"seconds": 62, "process_seconds": 62, "gpus": 1} == other["suite"]
     assert line["training"]["num_env_steps"] == 960 and "curve" not in line["training"]
     assert not lines(repository, "selection")
-    for kind, name in ((policy_tables.suite, ALONE), (policy_tables.suite_pairs, PAIR)):
+    for kind, name in ((suite_tables.suite, ALONE), (suite_tables.suite_pairs, PAIR)):
         table = kind(repository / "results")
         assert name in table and "evaluated in 1:02 on 1 GPU, by" in table
         assert "1 environments" in table
     newer = {**line, "time": "2099", "suite": {**line["suite"], "seconds": 125}}
     collecting.put("suite", newer, ("env", "time"))  # of a newer suite
-    table = policy_tables.suite(repository / "results")
+    table = suite_tables.suite(repository / "results")
     assert "1 environments" in table and "2:05" in table and PAIR not in table
+    folder = repository / "results"
+    assert suite_tables.suite_gentle(folder) == markdown.NOTHING
+    under = {**line["training"], "cost_limit": 0.1, "cost_multiplier_max": 0.25}
+    before = {"success": 0.75, "gentle_success": 0.25}
+    limited = {**newer, "time": "2100", "training": under, "shipped": before, "reported": before}
+    limited |= {"suite": {**line["suite"], "seconds": 185}, "gentle_success_of_seeds": [0.5, 0.25]}
+    collecting.put("suite", limited, ("env", "time"))  # of one under a cost limit
+    table = suite_tables.suite_gentle(folder)
+    assert (
+        "| 0.1, 0.25, 0 |" in table
+        and "| 50, 25 |" in table
+        and "| 75.0%, 25.0% |" in table
+        and "3:05" in table
+    )
+    assert "2:05" in suite_tables.suite(folder)
 
 
 @pytest.mark.slow

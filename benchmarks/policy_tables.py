@@ -79,7 +79,7 @@ def shipped_trainings(folder: Path = RESULTS) -> dict[str, tuple[Training, str |
     found = {}
     for path in sorted((asset_root() / "policies").glob("*.npz")):
         info = read_npz(path)[1]
-        key = (path.stem, str(info.get("commit"))[:COMMIT], info.get("seed"))
+        key = (str(info.get("env")), str(info.get("commit"))[:COMMIT], info.get("seed"))
         name, count = chosen.get(key, (None, 0))
         found[path.stem] = (key, name, count)
     return found

@@ -31,12 +31,14 @@ from agym_jax.policy.files import FILE_NAMES
 from agym_jax.policy.policy import read_policy, save_policy, shipped_folder
 from agym_jax.registry import parse
 from benchmarks import seed_curves, tables
+from benchmarks.journal import whole_suite
 from benchmarks.markdown import RESULTS, Line, is_earlier
 from benchmarks.memory_tables import run_of
 from benchmarks.shipped import recorded
 from benchmarks.trained import statistics
 from train.configs import CoopConfig, PPOConfig, config_for
-from train.runs.overview import JOURNAL, read_rows, selection_of, training_summary
+from train.runs.overview import read_rows, selection_of, training_summary
+from train.select import trainings_of
 
 POLICIES = RESULTS.parent.parent / "assets" / "policies"
 FOR_GENTLENESS = 0.05
@@ -109,6 +111,13 @@ class Found:
             return recorded().get(self.run.name)
         run = run_of(self.run.name, read_policy(self.file).info, RESULTS)
         return run and run["reported"] | {"time": run["time"]}
+
+    @property
+    def replaced(self) -> bool:
+        """Whether the policy that its choice was compared with ships no more; choices before 29 November 2026, 21:00 UTC, do not tell."""
+        told, human = self.choice.get("shipped_trainings"), self.ships_in / "human" / self.file.name
+        there = [x if x.is_file() else None for x in (self.file, human)]
+        return bool(told) and told != trainings_of(*there)
 
     @property
     def gentle(self) -> bool:
@@ -231,40 +240,6 @@ def reported(choice: Line) -> Line:
     return kept | {name: choice[name] for name in ("env", "episodes", "nan_episodes", "overflow")}
 
 
-def whole_suite(folder: Path) -> Line:
-    """What trainings and choices of a suite took, from its journal; pauses, and its films, do not count.
-
-    Returns:
-        ``seconds`` in which at least one of them ran, ``process_seconds`` of all together, and the number of ``gpus``.
-
-    Raises:
-        CollectError: there is no journal, or something has not ended.
-    """
-    running: dict[tuple[str, str], Line] = {}
-    times, gpus = [], set()
-    for row in read_rows(folder / JOURNAL):
-        command = row["env"], row["command"]
-        if row["command"] == "enjoy":
-            continue
-        if "began" in row:
-            running[command] = row
-        elif begun := running.pop(command, None):
-            times.append((begun["began"], begun["began"] + row["seconds"]))
-            gpus.add(begun["gpu"])
-    if running or not times:
-        going = ", ".join(" of ".join(reversed(x)) for x in running) or "nothing"
-        raise CollectError(
-            f"--suite needs the journal of a suite that has ended; {folder / JOURNAL} tells of {len(times)} commands that have, "
-            f"and of these that have not: {going}."
-        )
-    seconds, reached = 0.0, 0.0
-    for begin, end in sorted(times):
-        seconds += max(0.0, end - max(begin, reached))
-        reached = max(reached, end)
-    every = sum(end - begin for begin, end in times)
-    return {"seconds": round(seconds), "process_seconds": round(every), "gpus": len(gpus)}
-
-
 def decide(found: Found, least: float, replaced: bool = False) -> tuple[bool, str]:
     """Whether the chosen policy is to ship, and why; ``replaced`` as for ``collect``."""
     name, ours = found.run.name, reported(found.choice)
@@ -334,7 +309,7 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
         config: flags.
         replaced: whether the policy that its choice was compared with ships no more.
     """
-    name, choice = found.run.name, found.choice
+    name, choice, replaced = found.run.name, found.choice, replaced or found.replaced
     ships, why = decide(found, config.least, replaced)
     if name in config.ship and not reported(choice)["overflow"]:
         ships, why = True, f"--ship; {why}"

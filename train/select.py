@@ -11,7 +11,7 @@ import dataclasses
 import json
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -48,6 +48,9 @@ CHOSEN = (
     "gentle_success", "peak_median", "peak_99",
 )  # fmt: skip
 """Entries of the chosen policy's summary that are printed; the last ones only if the environment measures them."""
+Training = dict[str, Any]
+"""What identifies one: ``TRAINING``."""
+TRAINING = "env", "commit", "seed"
 GAP = 0.1
 """From which difference on it is said that a seed succeeds more often with the noise of its training than without."""
 
@@ -199,18 +202,35 @@ def say(text: str) -> None:
 
 def measure_shipped(
     evaluator: Evaluator, config: SelectConfig
-) -> tuple[EvaluationResult | None, str]:
-    """Evaluate the shipped policy on the people of the report; or return None and the reason, empty if none ships."""
+) -> tuple[EvaluationResult | None, str, Mapping[str, Training]]:
+    """Evaluate the shipped policy on the people of the report.
+
+    Returns:
+        Its result, or None and the reason, empty if none ships; and the trainings that its policies come from.
+    """
     try:
         memory = getattr(evaluator.env, MEMORY, ())
         files = find_policies(evaluator.env.name, memory=memory)
     except PolicyNotFoundError:
-        return None, ""
+        return None, "", {}
     try:
         policy = load_policies(files, evaluator.env)
     except (PolicyEnvironmentError, PolicyLayoutError) as error:
-        return None, str(error)
-    return evaluator(policy, jax.random.PRNGKey(config.report_seed)), ""
+        return None, str(error), {}
+    result = evaluator(policy, jax.random.PRNGKey(config.report_seed))
+    return result, "", trainings_of(files.robot, files.human)
+
+
+def trainings_of(robot: Path | str | None, human: Path | str | None = None) -> dict[str, Training]:
+    """Agent -> environment, commit and seed of the training that its policy comes from.
+
+    Args:
+        robot: policy file, if there is one.
+        human: policy file of the person, if that acts.
+    """
+    files = {"robot": robot, "human": human}
+    infos = {agent: read_policy(file).info for agent, file in files.items() if file}
+    return {agent: {name: info.get(name) for name in TRAINING} for agent, info in infos.items()}
 
 
 def keep(run: Path, seed: int, env: Any) -> Changes:
@@ -250,7 +270,9 @@ def main(
     env, policies = load_seeds(run, make, config.impl, config.default_settings)
     evaluator = Evaluator(env, config.num_episodes)
     scores, reported = select(evaluator, policies, config)
-    ships, unfit = measure_shipped(evaluator, config) if config.shipped else (None, "")
+    ships, unfit, trainings = (
+        measure_shipped(evaluator, config) if config.shipped else (None, "", {})
+    )
     trained_with = keep(run, scores.best, env)
     with_noise = successes_with_noise(run)
     print(scores.table())
@@ -273,6 +295,7 @@ def main(
             reported=summary,
             shipped=ships.summary() if ships else None,
             shipped_unfit=unfit,
+            shipped_trainings=trainings,
             chosen_over=config.seed,
             reported_over=config.report_seed,
             impl=str(getattr(env, "impl", config.impl)),

@@ -23,6 +23,7 @@ from benchmarks import (
     shipped,
     suite_tables,
 )
+from benchmarks.journal import JournalError, whole_suite
 from benchmarks.setting_as_run import SettingError, setting_as_run
 from train import coop, ppo, select
 from train.configs import CoopConfig, PPOConfig
@@ -126,10 +127,10 @@ def test_a_suites_time_is_that_in_which_something_ran(tmp_path):
     ]
     journal(tmp_path, *commands)
     whole = {"seconds": 128, "process_seconds": 168, "gpus": 2}
-    assert collecting.whole_suite(tmp_path) == whole
+    assert whole_suite(tmp_path) == whole
     journal(tmp_path, *commands[:2], (ALONE, "select", "0", 65.0, None))
-    with pytest.raises(collecting.CollectError, match=f"have not: select of {ALONE}"):
-        collecting.whole_suite(tmp_path)
+    with pytest.raises(JournalError, match=f"have not: select of {ALONE}"):
+        whole_suite(tmp_path)
 
 
 @pytest.mark.slow
@@ -223,6 +224,19 @@ def test_what_ships_is_replaced_by_what_is_better(shipped_there, ours, ships, ru
     kept = dataclasses.replace(config, ship=(), keep=(ALONE,))
     for found in collecting.find(kept):  # its choice tells of a policy that ships no more
         assert not collecting.collect(found, kept, replaced=True)[0]
+    assert (repository / "results" / "evaluation.jsonl").read_text() == before
+    now = select.trainings_of(repository / "policies" / f"{ALONE}.npz")
+    assert now["robot"] | {"commit": ""} == {"env": ALONE, "commit": "", "seed": 1}
+    fields["reported"] = was | {"success": 0.55}
+    for seed, theirs in (
+        (1, 0.99),
+        (7, 0.2),
+    ):  # of what ships, or of one before it, which counts no more
+        trainings = {"robot": now["robot"] | {"seed": seed}}
+        fields |= {"shipped": was | {"success": theirs}, "shipped_trainings": trainings}
+        told, text = collected(runs, ("", ""), **fields)
+        assert not told and "what ships has 99.0%, gently" in text
+        before = before if seed == 7 else (repository / "results" / "evaluation.jsonl").read_text()
     assert (repository / "results" / "evaluation.jsonl").read_text() == before
     with pytest.raises(
         collecting.CollectError, match=f"--ship and --keep name Wrong-v0. Runs to collect: {ALONE}"

@@ -205,7 +205,7 @@ def test_cup_pours_when_the_level_reaches_the_rim(moves: Any) -> None:
     first = np.array([tilt[np.argmax(o > 0)] for o in out.T])
     half = np.array([tilt[np.argmax(o >= 32)] for o in out.T])
     assert (first > level).all() and (first < level + 27).all()
-    assert (half > 88).all() and (half <= 105).all()  # told every 3 degrees; another processor rounds otherwise
+    assert (half > 88).all() and (half <= 105).all()  # told every 3 degrees
     assert (out[-1] == 64).all()
     assert np.all(state.alive)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from agym_jax.registry import parse
 from benchmarks.markdown import NOTHING, RESULTS, Line, grid, read_results, several
 from benchmarks.policy_tables import rows_of_seeds, seeds_and_steps, seeds_in_percent, signed
+from benchmarks.trained import trained_among
 from train.runs import overview
 from train.runs.progress import duration
 
@@ -16,7 +17,7 @@ from train.runs.progress import duration
 def suite(folder: Path = RESULTS) -> str:
     """What the seeds of the newest suite of robots without a cost limit achieve, all trained by one command, and how long the whole took."""
     found = newest_suite(folder, active=False, limited=False)
-    return _suite(found, [overview.HEADINGS, *_trained(found)])
+    return _suite(found, _of_seeds(found))
 
 
 def suite_gentle(folder: Path = RESULTS) -> str:
@@ -30,7 +31,7 @@ def suite_gentle(folder: Path = RESULTS) -> str:
 
     columns = {
         "environment": lambda x: x["env"],
-        "seeds x steps": seeds_and_steps,
+        "seeds x steps": lambda x: seeds_and_steps(x) + trained_among(x),
         "limit, largest multiplier, margin": lambda x: limit(x["training"]),
         "success of each seed [%]": lambda x: seeds_in_percent(x["success_of_seeds"]),
         "worst, interquartile mean": lambda x: (
@@ -50,7 +51,7 @@ def suite_gentle(folder: Path = RESULTS) -> str:
 def suite_pairs(folder: Path = RESULTS) -> str:
     """What the seeds of the newest suite of pairs achieve."""
     found = newest_suite(folder, active=True)
-    return _suite(found, [overview.HEADINGS, *_trained(found)])
+    return _suite(found, _of_seeds(found))
 
 
 def newest_suite(folder: Path, active: bool, limited: bool | None = None) -> list[Line]:
@@ -89,5 +90,5 @@ def _suite(lines: Sequence[Line], rows: Sequence[Sequence[str]]) -> str:
     return grid(rows, lines, note)
 
 
-def _trained(lines: Sequence[Line]) -> list[list[str]]:
-    return rows_of_seeds(lines, [x["training"] for x in lines])
+def _of_seeds(lines: Sequence[Line]) -> list[Sequence[str]]:
+    return [overview.HEADINGS, *rows_of_seeds(lines, [x["training"] for x in lines])]

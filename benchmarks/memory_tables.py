@@ -13,7 +13,7 @@ from agym_jax.policy.policy import shipped, shipped_folder
 from benchmarks import markdown
 from benchmarks.care_tables import among_everybody, worst_group
 from benchmarks.markdown import EARLIER, NOTHING, RESULTS, Line
-from benchmarks.policy_tables import COMMIT, seeds_and_steps, seeds_in_percent
+from benchmarks.policy_tables import COMMIT, seeds_and_steps, seeds_in_percent, worst_and_mean
 from benchmarks.suite_tables import newest_suite
 from benchmarks.trained import trained_among
 from train.runs.overview import share
@@ -44,11 +44,6 @@ def run_of(name: str, info: Mapping[str, Any], folder: Path = RESULTS) -> Line |
 def times(line: Line) -> str:
     """Time constants of a memory [s]."""
     return ", ".join(f"{x:g}" for x in line["changes"]["memory"])
-
-
-def worst_and_mean(line: Line) -> str:
-    """Success of the worst seed, and the interquartile mean."""
-    return f"{share(min(line['success_of_seeds']))}, {share(line['success_iqm'])}"
 
 
 def trainings(folder: Path = RESULTS) -> str:

@@ -182,6 +182,11 @@ def seeds_and_steps(line: Line) -> str:
     return overview.seeds_and_steps(len(line["seeds"]), line["num_env_steps"], *more)
 
 
+def worst_and_mean(line: Line) -> str:
+    """Success of the worst seed, and the interquartile mean."""
+    return f"{overview.share(min(line['success_of_seeds']))}, {overview.share(line['success_iqm'])}"
+
+
 def seeds_in_percent(values: Sequence[float]) -> str:
     """The shares of all seeds."""
     return ", ".join(f"{100 * x:.3g}" for x in values)

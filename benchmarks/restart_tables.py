@@ -6,8 +6,8 @@ from pathlib import Path
 
 from benchmarks import markdown, memory_tables
 from benchmarks.markdown import RESULTS, Line
-from benchmarks.memory_tables import times, worst_and_mean
-from benchmarks.policy_tables import seeds_and_steps, seeds_in_percent
+from benchmarks.memory_tables import times
+from benchmarks.policy_tables import seeds_and_steps, seeds_in_percent, worst_and_mean
 from benchmarks.trained import trained_among
 
 

@@ -22,7 +22,6 @@ import numpy as np
 import tyro
 from rich.progress import track
 
-from agym_jax.errors import ArgumentError
 from agym_jax.flags import Count
 from agym_jax.human.regions import NAMES
 from agym_jax.policy.files import find_policies, load_policies
@@ -99,7 +98,7 @@ def summary(peaks: Sequence[float], steps: Sequence[Balance]) -> dict[str, Any]:
 
 
 def measure(env_name: str, config: CausesConfig) -> dict[str, Any]:
-    """The fields of a result.
+    """The fields of a result; where nobody was touched, ``steps`` is 0 and there is no account.
 
     Raises:
         AgymError: there is no such environment, or no policy that fits it.
@@ -110,10 +109,11 @@ def measure(env_name: str, config: CausesConfig) -> dict[str, Any]:
     Evaluator(env, config.num_episodes, AT_ONCE)(
         policy, jax.random.PRNGKey(config.seed), watch=hardest
     )
-    if not hardest.kept:
-        raise ArgumentError(
-            f"Nobody was touched in {config.num_episodes} episodes of {env_name}; ask for more with --num-episodes."
-        )
+    played = {
+        "env": env_name, "impl": env.impl, "episodes": config.num_episodes, "seed": config.seed, "steps": len(hardest.kept),
+    }  # fmt: skip
+    if not hardest.kept:  # nobody was touched
+        return played
     peaks, off = [], 0.0
     with watch(env.physics, each_physics_step=True) as account:
         for peak, _, _, before in track(hardest.kept, f"{env_name}, accounts"):
@@ -121,11 +121,7 @@ def measure(env_name: str, config: CausesConfig) -> dict[str, Any]:
             peaks.append(float(np.max(again.regions.peak)))
             off = max(off, abs(peaks[-1] - peak) / peak)
     return {
-        "env": env_name,
-        "impl": env.impl,
-        "episodes": config.num_episodes,
-        "seed": config.seed,
-        "steps": len(peaks),
+        **played,
         "region": NAMES[max(hardest.kept)[2]],
         "replay_off": round(off, 4),
         **summary(peaks, account.steps),

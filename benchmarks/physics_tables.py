@@ -112,16 +112,22 @@ def inside(folder: Path = RESULTS) -> str:
 
 def causes(folder: Path = RESULTS) -> str:
     """Whether the largest forces on people have a cause."""
+
+    def touched(cell: Callable[[Line], str], else_: str = "") -> Callable[[Line], str]:
+        return lambda line: cell(line) if line["steps"] else else_
+
     columns = {
         "environment": ORDER,
         "episodes": lambda x: f"{x['episodes']:,}",
         "control steps": lambda x: x["steps"],
-        "their peaks on the person": lambda x: (
-            f"{x['least_peak']:.0f} to {x['peak']:.0f} N ({x['region']})"
+        "their peaks on the person": touched(
+            lambda x: f"{x['least_peak']:.0f} to {x['peak']:.0f} N ({x['region']})", "none"
         ),
-        "largest force on robot and tools": lambda x: f"{x['force']:.0f} N",
-        "force beyond what has a cause": percent("beyond"),
-        "torque that the account lacks": lambda x: f"{x['lacks']:.2f} N m ({x['lacks_of']:.0%})",
+        "largest force on robot and tools": touched(lambda x: f"{x['force']:.0f} N"),
+        "force beyond what has a cause": touched(percent("beyond")),
+        "torque that the account lacks": touched(
+            lambda x: f"{x['lacks']:.2f} N m ({x['lacks_of']:.0%})"
+        ),
     }
     return table(read_results("causes", ("env",), folder), columns, ORDER)
 

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from agym_jax.sim.impulse import Balance
-from benchmarks import causes
+from benchmarks import causes, physics_tables
+from train.runs.record import record
 
 
 def seen(*peaks: float) -> SimpleNamespace:
@@ -63,6 +66,23 @@ def test_a_policys_hardest_steps_happen_again_and_have_a_cause():
     assert found["steps"] == 4 and found["replay_off"] < 1e-3
     assert found["peak"] >= found["least_peak"] > 0.0 and found["force"] >= found["peak"]
     assert found["beyond"] < 0.15 and found["lacks"] < 0.35
+
+
+def test_a_policy_that_touches_nobody_has_a_row_without_an_account(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    env = SimpleNamespace(impl="native", episode_length=200)
+    for name, value in {
+        "make_env": lambda *_: env,
+        "find_policies": str,
+        "load_policies": lambda *_: None,
+    }.items():
+        monkeypatch.setattr(causes, name, value)
+    monkeypatch.setattr(causes, "Evaluator", lambda *_: lambda *_, **__: None)
+    found = causes.measure("DressingPR2-v0", causes.CausesConfig(num_episodes=64))
+    assert found["steps"] == 0 and found["episodes"] == 64 and "peak" not in found
+    (tmp_path / "causes.jsonl").write_text(json.dumps(record("causes", **found)))
+    assert "| DressingPR2-v0 | 64 | 0 | none |" in physics_tables.causes(tmp_path)
 
 
 def test_an_unknown_name_is_answered_before_long_work(capsys: pytest.CaptureFixture[str]):

@@ -63,7 +63,7 @@ def _begun(line: Line) -> str:
 
 
 def continued(folder: Path = RESULTS) -> str:
-    """What trainings that go on with a policy achieve, beside that policy."""
+    """What trainings that go on with a policy achieve, beside that policy: those with statistics kept, and the newest with drift of each environment."""
     columns = {
         "environment": lambda x: x["env"],
         "seeds x steps": lambda x: seeds_and_steps(x) + trained_among(x),
@@ -73,7 +73,10 @@ def continued(folder: Path = RESULTS) -> str:
         "chosen seed, over other people": lambda x: f"{x['chosen']}: {x['chosen_success']:.1%}",
         "the policy before": lambda x: f"{x['shipped']['success']:.1%}",
     }
-    return _of_runs(read_results("continued", ("env", "statistics"), folder), columns)
+    newest = read_results("continued", ("env", "statistics"), folder)
+    kept = read_results("continued", ("env", "statistics", "num_env_steps"), folder)
+    lines = [x for x in newest if x["statistics"] != "kept"]
+    return _of_runs([*lines, *(x for x in kept if x["statistics"] == "kept")], columns)
 
 
 def _of_runs(lines: list[Line], columns: dict[str, Callable[..., str]]) -> str:

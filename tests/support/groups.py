@@ -34,7 +34,7 @@ SECONDS = {
 }  # fmt: skip
 """What the longest groups take, roughly (2 cores, cold cache)."""
 SLOW_SECONDS = {
-    "tests/train/test_devices.py": 260, "tests/sim/test_warp.py": 110,
+    "tests/train/test_devices.py": 190, "tests/sim/test_warp.py": 110,
     "tests/docs/test_torch_page.py::test_an_example_learns_to_reach": 120,
     "tests/docs/test_docs.py": 210, "tests/docs/test_brax_page.py": 120,
     "tests/adapters/test_brax.py": 20, "tests/test_wheel.py": 150,

@@ -130,12 +130,11 @@ print(json.dumps({
     "sum": float(totals["sum"]), "is": float(after["x"].sum()), "text": begin.as_text() + go.as_text()}))
 """
 
-# Training on one and on two devices, with a run that goes on with another number of them.
+# Training on one and on two devices.
 TRAINING = """
-import dataclasses, json, sys, tempfile
+import dataclasses, json
 import jax
 from fake_pair_env import FakePairEnv
-from train.runs.checkpoint import checkpoint_files
 from train.configs import CoopConfig, PPOConfig
 from train.errors import ConfigError
 from train import coop, ppo
@@ -153,14 +152,6 @@ for devices in (1, 2):
         "used": result.config.devices,
         "devices": len(jax.tree.leaves(result.learner)[0].devices()),
     }
-with tempfile.TemporaryDirectory() as folder:
-    short = dataclasses.replace(config, save_dir=folder, num_env_steps=640 * 8)
-    steps = [coop.train(FakePairEnv(), short).session_steps]
-    for devices, rounds in ((1, 16), (2, 24)):
-        longer = dataclasses.replace(short, num_env_steps=640 * rounds, devices=devices)
-        result = coop.train(FakePairEnv(), longer)
-        steps.append(result.session_steps)
-    found["sessions"], found["rows"] = steps, [row["env_steps"] for row in result.curve]
 single = PPOConfig(**{**BASE, "num_env_steps": 640 * 4})
 found["ppo"] = ppo.train(FakePairEnv(active=False), single).config.devices
 for fields in ({"devices": 3}, {"num_envs": 33}):
@@ -171,7 +162,7 @@ for fields in ({"devices": 3}, {"num_envs": 33}):
 print(json.dumps(found))
 """
 
-# Two seeds on one and on two devices, a robot alone and a pair, with a run that goes on with another number of them.
+# Two seeds on two devices, a robot alone and a pair, with a run that goes on with another number of them.
 SEEDS = """
 import dataclasses, json, tempfile
 import jax
@@ -184,13 +175,11 @@ BASE = dict(num_env_steps=60_000, num_envs=32, num_mini_batch=4, policy_hidden=(
             value_hidden=(32,), lr=2e-3, log_interval=8, save_dir=None,
             recompute_advantages=False)  # 32 environments: values would learn so few steps by heart
 found = {}
-for devices in (1, 2):
-    result = ppo.train(FakePairEnv(active=False), PPOConfig(**BASE, devices=devices))
-    found[f"on {devices}"] = {
-        "success": [seed.curve[-1]["success"] for seed in result.seeds], "steps": result.env_steps,
-        "episodes": sum(row["episodes"] for row in result.curve), "used": result.config.devices,
-        "rows": [len(seed.curve) for seed in result.seeds], "session": result.session_steps,
-    }
+result = ppo.train(FakePairEnv(active=False), PPOConfig(**BASE, devices=2))
+found["alone"] = {
+    "success": [seed.curve[-1]["success"] for seed in result.seeds], "steps": result.env_steps,
+    "used": result.config.devices, "session": result.session_steps,
+}
 result = ppo.train(FakePairEnv(active=False), PPOConfig(**BASE, devices=2, restart_share=0.5, num_candidates=2, candidates_until=0.3))
 found["restarts"] = [seed.curve[-1]["success"] for seed in result.seeds], result.config.devices
 with tempfile.TemporaryDirectory() as folder:
@@ -274,8 +263,6 @@ def test_training_on_two_devices_is_as_good_as_on_one():
     assert one["success"] > 0.9 and two["success"] > 0.9
     assert one["steps"] == two["steps"] == 94 * 640
     assert abs(one["episodes"] - two["episodes"]) <= 32
-    assert found["sessions"] == [640 * 8] * 3  # all devices, then one, then two
-    assert found["rows"] == [640 * 8, 640 * 16, 640 * 24]
     too_many, odd = found["refused"]
     assert "--devices 3 were asked for; JAX sees 2 (cpu)" in too_many
     assert (
@@ -284,14 +271,11 @@ def test_training_on_two_devices_is_as_good_as_on_one():
 
 
 @pytest.mark.slow
-def test_two_seeds_on_two_devices_learn_as_on_one_and_are_resumed_whole():
+def test_two_seeds_on_two_devices_learn_and_are_resumed_whole():
     found = last_line(piped(SEEDS, env=TWO))
-    one, two = found["on 1"], found["on 2"]
-    assert (one["used"], two["used"]) == (1, 2)
-    for run in (one, two):
-        assert len(run["success"]) == 2 and min(run["success"]) > 0.9
-        assert run["steps"] == 94 * 640 and run["session"] == 2 * 94 * 640
-    assert one["rows"] == two["rows"] and abs(one["episodes"] - two["episodes"]) <= 64
+    alone = found["alone"]
+    assert len(alone["success"]) == alone["used"] == 2 and min(alone["success"]) > 0.9
+    assert alone["steps"] == 94 * 640 and alone["session"] == 2 * 94 * 640
     success, devices = found["restarts"]
     assert len(success) == devices == 2 and min(success) > 0.9
     assert found["sessions"] == [[2 * 640 * 8, devices] for devices in (2, 1, 2)]

@@ -45,6 +45,25 @@ def test_what_a_training_under_a_limit_began_with(tmp_path):
     ])  # fmt: skip
 
 
+def test_continued_trainings_with_drift_give_way_to_newer_ones_and_the_others_stay(tmp_path):
+    steps = {"drift": (1_000_000, 2_000_000, 3_000_000), "kept": (4_000_000, 5_000_000, 5_000_000)}
+    rows = [
+        line(
+            "shipped",
+            statistics=statistics_,
+            num_env_steps=count,
+            chosen=number,
+            chosen_success=0.7,
+        )
+        for statistics_, counts in steps.items()
+        for number, count in enumerate(counts)
+    ]
+    (tmp_path / "continued.jsonl").write_text("".join(json.dumps(x) + "\n" for x in rows))
+    shown = [row for row in continued_tables.continued(tmp_path).splitlines() if "Human" in row]
+    assert [row.split("|")[2].strip() for row in shown] == ["2 x 3 M", "2 x 4 M", "2 x 5 M"]
+    assert "| 2: 70.0% |" in shown[-1]  # the newer one of those with as many steps
+
+
 @pytest.mark.parametrize(
     ("robot", "person", "time", "told"),
     [("shipped", None, "2026-11-29T05:04", "drift"), (None, "h.npz", KEPT_SINCE, "kept"), (None, None, KEPT_SINCE, None)],

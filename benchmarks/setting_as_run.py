@@ -1,7 +1,7 @@
 """One setting of a sweep as a run of its own, which ``benchmarks.collect`` takes.
 
     agym-jax sweep --env-name DressingPR2-v0 --grid noise_floor=0,0.35 --num-seeds 4
-    agym-jax select sweeps/DressingPR2-v0/noise_floor=0.35 --json sweeps/DressingPR2-v0/noise_floor=0.35/selection.jsonl
+    agym-jax select sweeps/DressingPR2-v0/noise_floor=0.35
     python -m benchmarks.setting_as_run sweeps/DressingPR2-v0/noise_floor=0.35 runs
     python -m benchmarks.collect runs
 

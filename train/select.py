@@ -43,6 +43,8 @@ from .runs.candidates import score
 from .runs.overview import read_rows
 from .runs.record import append_record, record
 
+RESULT = "selection.jsonl"
+"""File in the folder of a run with what was measured."""
 CHOSEN = (
     "success", "success_low", "success_high", "return_mean", "return_std", "force_mean",
     "gentle_success", "peak_median", "peak_99",
@@ -81,7 +83,7 @@ class SelectConfig:
     impl: str = "auto"
     """Physics: "jax", "warp", "native" or "auto"."""
     json: str | None = None
-    """File to which the result is appended as a JSON line."""
+    """File to which the result is appended as a JSON line, besides selection.jsonl in the folder of the run."""
 
 
 def seed_folders(run: Path) -> dict[int, Path]:
@@ -275,6 +277,26 @@ def main(
     )
     trained_with = keep(run, scores.best, env)
     with_noise = successes_with_noise(run)
+    summary = reported.summary()
+    line = record(
+        "selection",
+        **scores.summary(),
+        success_with_noise_of_seeds=with_noise,
+        chosen=scores.best,
+        chosen_by=scores.by,
+        reported=summary,
+        shipped=ships.summary() if ships else None,
+        shipped_unfit=unfit,
+        shipped_trainings=trainings,
+        chosen_over=config.seed,
+        reported_over=config.report_seed,
+        impl=str(getattr(env, "impl", config.impl)),
+        **changed(env),
+        **({"trained_with": trained_with} if trained_with else {}),
+        **{f"chosen_{name}": summary[name] for name in CHOSEN if name in summary},
+    )
+    for file in {run / RESULT, Path(config.json or run / RESULT).resolve()}:
+        append_record(file, line)
     print(scores.table())
     if not trained_with and (needs := needs_noise(scores, with_noise)):  # else other people
         print(needs)
@@ -284,26 +306,6 @@ def main(
     print(reported.table())
     if ships or unfit:
         print(f"The shipped policy, on the same people:\n{ships.table() if ships else unfit}")
-    if config.json:
-        summary = reported.summary()
-        line = record(
-            "selection",
-            **scores.summary(),
-            success_with_noise_of_seeds=with_noise,
-            chosen=scores.best,
-            chosen_by=scores.by,
-            reported=summary,
-            shipped=ships.summary() if ships else None,
-            shipped_unfit=unfit,
-            shipped_trainings=trainings,
-            chosen_over=config.seed,
-            reported_over=config.report_seed,
-            impl=str(getattr(env, "impl", config.impl)),
-            **changed(env),
-            **({"trained_with": trained_with} if trained_with else {}),
-            **{f"chosen_{name}": summary[name] for name in CHOSEN if name in summary},
-        )
-        append_record(config.json, line)
     return 0
 
 

@@ -43,10 +43,8 @@ def runs(tmp_path_factory):
     ppo.train(FakeEnv(name=ALONE), PPOConfig(**SHORT, save_dir=str(folder)))
     coop.train(FakePairEnv(task_name="ReachingJaco"), CoopConfig(**SHORT, save_dir=str(folder)))
     for name, env in ((ALONE, FakeEnv(name=ALONE)), (PAIR, FakePairEnv(task_name="ReachingJaco"))):
-        words = [str(folder / name), "--num-episodes", "16", "--no-shipped", "--json"]
-        assert (
-            select.main([*words, str(folder / name / "selection.jsonl")], lambda *_, e=env: e) == 0
-        )
+        words = [str(folder / name), "--num-episodes", "16", "--no-shipped"]
+        assert select.main(words, lambda *_, e=env: e) == 0
     return folder
 
 

@@ -24,6 +24,7 @@ from train.evaluation.gentleness import Gentleness
 from train.evaluation.score import EvaluationResult
 from train.evaluation.seed_scores import SeedScores
 from train.ppo import train
+from train.runs.overview import read_rows
 
 SHORT = PPOConfig(
     num_env_steps=320, num_envs=16, num_mini_batch=4, policy_hidden=(32,), value_hidden=(32,), lr=1e-3,
@@ -143,6 +144,9 @@ def test_the_chosen_seed_is_reported_over_other_episodes_and_ready_for_use(runs,
     assert all(0 <= x <= 1 for x in line["success_with_noise_of_seeds"])
     chosen = read_policy(long / "policy.npz")
     assert chosen.info["seed"] == line["chosen"]
+    assert (
+        read_rows(long / "selection.jsonl")[-1] == line
+    )  # in the run, too, whether asked for or not
     told = capsys.readouterr()
     assert f"Chosen: seed {line['chosen']}" in told.out
     assert f"3 of 3: seed 3 succeeds in {of_seeds[3]:.1%}" in told.err

@@ -42,7 +42,7 @@ if words[0] == "select":
     run.mkdir(exist_ok=True)
     line = dict(env=run.name, chosen=1, chosen_success=0.95, seeds=[1, 2], success_iqm=0.9,
                 success_iqm_low=0.8, success_iqm_high=1.0, success_of_seeds=[0.95, 0.85])
-    pathlib.Path(words[words.index("--json") + 1]).write_text(json.dumps(line))
+    (run / "selection.jsonl").write_text(json.dumps(line))
 elif words[0] == "enjoy":
     pathlib.Path(words[words.index("--clip") + 1]).write_text("a film")
 elif "Dressing" in words[2]:

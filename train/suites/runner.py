@@ -132,8 +132,7 @@ class Runner:
             "--num-seeds", str(c.num_seeds), "--save-dir", c.save_dir,
             *(["--num-env-steps", steps] if steps else []), *flags_for(c, env_name),
         ]  # fmt: skip
-        result = str(run / "selection.jsonl")
-        select = ["select", str(run), "--num-episodes", str(c.num_episodes), "--json", result]
+        select = ["select", str(run), "--num-episodes", str(c.num_episodes)]
         select += [] if c.shipped else ["--no-shipped"]
         select += ["--default-settings"] if c.default_settings else []
         select += ["--by", c.by] if c.by != "auto" else []

@@ -11,13 +11,17 @@ KEPT_SINCE = "2026-11-29T05:05"
 they went on changing, and the policy with them."""
 
 
+SIZES = {None: "", "both": ", people of both kinds of size", "continuous": ", people of every size"}
+"""Setting ``humans.sizes`` of a training, None: that of the id -> what is said of it."""
+
+
 def trained_among(line: Line) -> str:
     """Whether people of every size were among those in training, and what else was not as in the environment's id."""
     changes = dict(line.get("trained_with") or {})
     changes.pop(MEMORY, None)
-    both = changes.pop("humans.sizes", None) == "both"
+    sizes = SIZES[changes.pop("humans.sizes", None)]
     others = f", `{flags_of(changes)}`" if changes else ""
-    return ", people of both kinds of size" * both + others
+    return sizes + others
 
 
 def statistics(training: Line) -> dict[str, str | None]:

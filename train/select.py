@@ -40,11 +40,9 @@ from .evaluation.evaluator import Evaluator
 from .evaluation.score import EvaluationResult
 from .evaluation.seed_scores import SeedScores, score_seeds
 from .runs.candidates import score
-from .runs.overview import read_rows
+from .runs.overview import SELECTION, read_rows
 from .runs.record import append_record, record
 
-RESULT = "selection.jsonl"
-"""File in the folder of a run with what was measured."""
 CHOSEN = (
     "success", "success_low", "success_high", "return_mean", "return_std", "force_mean",
     "gentle_success", "peak_median", "peak_99",
@@ -270,6 +268,8 @@ def main(
     if config.json:
         check_appendable(config.json)
     env, policies = load_seeds(run, make, config.impl, config.default_settings)
+    own = run / SELECTION
+    check_appendable(own, "What is measured is kept in the folder of the run.")
     evaluator = Evaluator(env, config.num_episodes)
     scores, reported = select(evaluator, policies, config)
     ships, unfit, trainings = (
@@ -295,8 +295,9 @@ def main(
         **({"trained_with": trained_with} if trained_with else {}),
         **{f"chosen_{name}": summary[name] for name in CHOSEN if name in summary},
     )
-    for file in {run / RESULT, Path(config.json or run / RESULT).resolve()}:
-        append_record(file, line)
+    append_record(own, line)
+    if config.json and Path(config.json).resolve() != own:
+        append_record(config.json, line)
     print(scores.table())
     if not trained_with and (needs := needs_noise(scores, with_noise)):  # else other people
         print(needs)

@@ -8,7 +8,7 @@ import json
 import pytest
 
 from benchmarks import continued_tables
-from benchmarks.trained import KEPT_SINCE, statistics
+from benchmarks.trained import KEPT_SINCE, statistics, trained_among
 
 SCORES = {"gentle_success": 0.5, "success": 0.75, "peak_median": 4.0}
 
@@ -71,3 +71,15 @@ def test_continued_trainings_with_drift_give_way_to_newer_ones_and_the_others_st
 def test_statistics_are_kept_since_a_day(robot, person, time, told):
     training = {"started_from": robot, "person_started_from": person, "time": time}
     assert statistics(training) == {"statistics": told}
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({}, ""),
+        ({"humans.sizes": "both", "robot.rare_starts": 1.0}, ", people of both kinds of size, `--robot.rare-starts 1.0`"),
+        ({"humans.sizes": "continuous"}, ", people of every size"),
+    ],
+)  # fmt: skip
+def test_among_whom_a_policy_was_trained(changes, told):
+    assert trained_among({"trained_with": changes}) == told

@@ -144,9 +144,8 @@ def test_the_chosen_seed_is_reported_over_other_episodes_and_ready_for_use(runs,
     assert all(0 <= x <= 1 for x in line["success_with_noise_of_seeds"])
     chosen = read_policy(long / "policy.npz")
     assert chosen.info["seed"] == line["chosen"]
-    assert (
-        read_rows(long / "selection.jsonl")[-1] == line
-    )  # in the run, too, whether asked for or not
+    of_run = read_rows(long / "selection.jsonl")
+    assert of_run[-1] == line  # asked for or not
     told = capsys.readouterr()
     assert f"Chosen: seed {line['chosen']}" in told.out
     assert f"3 of 3: seed 3 succeeds in {of_seeds[3]:.1%}" in told.err

@@ -17,6 +17,7 @@ from agym_jax.policy.policy import Policy, save_policy
 
 from ..configs import LearnConfig
 from .lock import RunLock
+from .overview import SELECTION
 from .plots import plot_curve
 from .record import record
 
@@ -121,7 +122,7 @@ class RunFolder:
         Returns:
             The folder with it; None if nothing had been chosen.
         """
-        names = {*FILE_NAMES.values(), "selection.jsonl"}
+        names = {*FILE_NAMES.values(), SELECTION}
         there = [path for name in sorted(names) if (path := self.path / name).is_file()]
         aside = self.path / f"chosen_at_step_{steps}"
         for path in there:

@@ -23,6 +23,8 @@ COLUMNS = (
 DIGITS = 4
 JOURNAL = "journal.jsonl"
 """Beside the runs of a suite: when which command began and how long it took."""
+SELECTION = "selection.jsonl"
+"""In the folder of a run: what ``select`` measured, a line each time."""
 CANDIDATES = "candidates"
 """In the folder of a run: curves, policies and checkpoints of the candidates of its seeds."""
 
@@ -142,7 +144,7 @@ def seeds_and_steps(
 
 def selection_of(run: Path) -> dict[str, Any] | None:
     """The newest result of ``select`` in the folder of a run, if there is one."""
-    rows = read_rows(run / "selection.jsonl")
+    rows = read_rows(run / SELECTION)
     return rows[-1] if rows else None
 
 

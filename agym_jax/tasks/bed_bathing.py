@@ -35,6 +35,8 @@ _H = math.sqrt(0.5)
 _RAD = math.pi / 180.0
 RINGS, PER_RING = 11, 11
 """Largest numbers of rings on a limb and of points on a ring that fit on any person that can be drawn."""
+PATCHES_ALONG, PATCHES_AROUND = 4, 6
+"""Parts of a limb of which value functions see how much remains to be wiped."""
 CLOSEST = 0.03
 """Smallest spacing of points for which these numbers suffice [m]."""
 
@@ -247,11 +249,17 @@ class BedBathing:
     @property
     def privileged_obs_size(self) -> int:
         """Length of ``privileged_obs``."""
-        return 2
+        return 2 * PATCHES_ALONG * PATCHES_AROUND
 
     def privileged_obs(self, state: BathState) -> Array:
-        """Return the fractions of upper arm and forearm that remain to be wiped (privileged_obs_size,)."""
-        return jnp.sum(state.dirty, 1) / jnp.maximum(jnp.sum(state.exists, 1), 1.0)
+        """Return the fraction of each patch of upper arm and forearm that remains to be wiped (privileged_obs_size,)."""
+        ring, place = np.divmod(np.arange(RINGS * PER_RING), PER_RING)
+        rings, places = (jnp.max(state.exists * (n + 1), 1, keepdims=True) for n in (ring, place))
+        row = jnp.floor(ring * PATCHES_ALONG / rings)
+        column = jnp.floor(place * PATCHES_AROUND / places)
+        patch = jax.nn.one_hot(row * PATCHES_AROUND + column, PATCHES_ALONG * PATCHES_AROUND)
+        left = jnp.einsum("ln,lnp->lp", state.dirty, patch)
+        return (left / jnp.maximum(jnp.einsum("ln,lnp->lp", state.exists, patch), 1.0)).ravel()
 
     def success(self, state: BathState) -> Array:
         """Whether 30 % of the points have been wiped ()."""

@@ -243,6 +243,16 @@ class ScratchItch:
         )
         return robot, human
 
+    @property
+    def privileged_obs_size(self) -> int:
+        """Length of ``privileged_obs``."""
+        return 5
+
+    def privileged_obs(self, state: ItchState) -> Array:
+        """Return where the last scratch counted, from the itch [m], how many have counted, and the force on the itch [N] (privileged_obs_size,)."""
+        since = jnp.where(state.scratches > 0, state.last_scratch_w - state.target_pos_w, 0.0)
+        return jnp.concatenate([since, jnp.stack([state.scratches, state.force_at_target])])
+
     def success(self, state: ItchState) -> Array:
         """Whether 25 scratches have counted ()."""
         return state.scratches >= self.config.scratches

@@ -284,3 +284,40 @@ def test_bed_is_sticky_and_the_person_still():
     # tasks.md section 3, furniture.md section 3
     assert TASK.seat.friction == 5.0 and TASK.gravity == -1.0
     assert TASK.human.moving(active=False) == () and len(TASK.human.moving(active=True)) == 10
+
+
+def test_value_functions_see_which_patches_remain():
+    state = begin()
+    clean = np.asarray(TASK.privileged_obs(state))
+    assert clean.shape == (TASK.privileged_obs_size,)
+    assert set(clean) <= {0.0, 1.0}  # nothing wiped yet: 1 where this person has points
+    of_limb = clean.size // 2
+    points = here(state)
+    for limb, place in enumerate(
+        (points[0], points[-1])
+    ):  # the highest row, and the last of the forearm
+        after, _ = TASK.advance(state, pressing(place))
+        seen = np.asarray(TASK.privileged_obs(after))
+        changed_patches = np.flatnonzero(seen != clean)
+        assert (
+            1 <= changed_patches.size <= 4
+        )  # a reach of 2.5 cm meets at most two patches either way
+        assert set(changed_patches // of_limb) == {limb}
+        assert np.all(seen <= clean)
+    everything = dataclasses.replace(state, dirty=jnp.zeros_like(state.dirty))
+    np.testing.assert_array_equal(TASK.privileged_obs(everything), 0.0)
+
+
+def test_patches_share_the_points_evenly():
+    """Each point belongs to one patch: the patches' points add up to the person's."""
+    state = begin()
+    for limb in range(2):
+        dirty = jnp.zeros_like(state.dirty)
+        wiped_of_each = []
+        for point in np.flatnonzero(np.asarray(state.exists[limb])):
+            one = dataclasses.replace(state, dirty=dirty.at[limb, point].set(1.0))
+            seen = np.asarray(TASK.privileged_obs(one))
+            assert np.count_nonzero(seen) == 1
+            wiped_of_each.append(int(np.flatnonzero(seen)[0]))
+        counts = np.bincount(wiped_of_each)[min(wiped_of_each) :]
+        assert counts.max() <= 3 * counts[counts > 0].min() + 1

@@ -278,3 +278,12 @@ def test_marker_is_the_target():
     ((pos, radius, colour),) = TASK.markers(state)
     np.testing.assert_array_equal(pos, state.target_pos_w)
     assert radius == 0.01 and len(colour) == 4
+
+
+def test_value_functions_see_the_last_scratch_from_the_itch_their_number_and_the_force():
+    state, _ = TASK.advance(itch(), touching(50.0))  # too hard to count
+    np.testing.assert_allclose(TASK.privileged_obs(state), [0.0, 0.0, 0.0, 0.0, 50.0], rtol=1e-6)
+    state, _ = TASK.advance(state, touching(3.0, (0.0, 0.01, 0.002)))
+    seen = np.asarray(TASK.privileged_obs(state))
+    assert seen.shape == (TASK.privileged_obs_size,)
+    np.testing.assert_allclose(seen, [0.0, 0.01, 0.002, 1.0, 3.0], atol=1e-6)

@@ -7,7 +7,8 @@ larger and at most 5 of 100 successes are lost, over the same people in
 the same physics if ``select`` measured both; where none ships, from ``--least`` on. Choice and limit of runs under a cost limit are in ``results/gentle.jsonl``.
 Of runs that began with a policy (``--robot-policy``; of pairs, ``--human-policy`` too), the choice is in ``results/continued.jsonl``. What training both
 of these were is in ``results/continued_training.jsonl``. Runs with a memory (``--memory``), also those of a suite, are kept in
-``results/memory.jsonl``; their policies ship in a folder of their own, if the memory is that of the others there and they are better than those without. With ``--suite``, all runs are kept in ``results/suite.jsonl``, as those of one command. Then the tables and the picture of the curves are made anew.
+``results/memory.jsonl``; their policies ship in a folder of their own, if the memory is that of the others there and they are better than those without. With ``--trial``, what was tried and the choice are kept in
+``results/trials.jsonl``, and nothing ships. With ``--suite``, all runs are kept in ``results/suite.jsonl``, as those of one command. Then the tables and the picture of the curves are made anew.
 Collecting the same runs again changes nothing.
 """
 
@@ -72,6 +73,8 @@ class CollectConfig:
     """Ids whose policy stays although the chosen one is better. The documentation has to say why."""
     suite: bool = False
     """Keep the runs as those of one suite, with the time of the whole; the rows of the results over seeds stay as they are."""
+    trial: str | None = None
+    """Keep the runs as trials of something that is not what the id is trained with, in these words; nothing ships."""
     dry: bool = False
     """Say what would be done, and change nothing."""
 
@@ -140,6 +143,8 @@ def find(config: CollectConfig) -> list[Found]:
     Raises:
         CollectError: there are none, the suite has not ended, one has other settings than its id, or nobody knows with which commit they were made.
     """
+    if config.suite and config.trial:
+        raise CollectError("Runs are those of a suite or trials: use --suite or --trial.")
     if config.suite and config.only:
         raise CollectError(
             "--suite keeps all runs of a suite, with the time of the whole. Leave out --only."
@@ -315,10 +320,14 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
         ships, why = True, f"--ship; {why}"
     if name in config.keep:
         ships, why = False, f"--keep; {why}"
+    if config.trial:
+        ships, why = False, "a trial"
     if not config.dry:
         about = {name: found.training[name] for name in ABOUT} | statistics(found.training)
         training = {name: x for name, x in found.training.items() if name != "curve"}
-        if found.memory:
+        if config.trial:
+            put("trials", {**choice, **about, "trial": config.trial}, ("env", "time"))
+        elif found.memory:
             put("memory", {**choice, **about, "training": training}, ("env", "time"))
         elif found.suite:
             line = {**choice, "training": training, "suite": found.suite}
@@ -337,7 +346,7 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
             info = ship(found)
         elif found.file.is_file() and choice.get("shipped") and not replaced:
             summary, info = choice["shipped"], dict(read_policy(found.file).info)
-        if info and not found.memory:
+        if info and not found.memory and not config.trial:
             put(*evaluation(found, summary, info), ("env", "time", "policy", "human_policy"))
     low, high = choice["success_iqm_low"], choice["success_iqm_high"]
     verb = "ships now" if ships else "does not ship"

@@ -23,6 +23,7 @@ from benchmarks import (
     speed_tables,
     suite_tables,
     training_tables,
+    trial_tables,
 )
 from benchmarks.markdown import DATES, RESULTS
 
@@ -54,6 +55,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "memory-trainings": memory_tables.trainings,
     "memory-policies": memory_tables.policies,
     "restarts": restart_tables.trainings,
+    "trials": trial_tables.trials,
     "sweeps": policy_tables.sweeps,
     "gentle": continued_tables.gentle,
     "continued": continued_tables.continued,

@@ -343,6 +343,22 @@ def test_trainings_with_restarts_have_results_of_their_own(runs, repository):
     assert not lines(repository, "selection") and not lines(repository, "seed_training")
 
 
+def test_a_trial_has_a_line_of_its_own_and_ships_nothing(runs, repository, capsys):
+    path, before = change(runs, ALONE, shipped=None, shipped_unfit="", commit="c" * 40)
+    words = [str(runs), "--only", ALONE, "--trial", "more noise"]
+    try:
+        assert collecting.main(words) == 0
+    finally:
+        path.write_text(before)
+    assert "does not ship (a trial)" in capsys.readouterr().out
+    (line,) = lines(repository, "trials")
+    assert (line["trial"], line["env"], line["seeds"]) == ("more noise", ALONE, [1, 2])
+    for other in ("selection", "seed_training", "evaluation"):
+        assert not lines(repository, other)
+    assert not list((repository / "policies").rglob("*.npz"))
+    assert collecting.main([*words, "--suite"]) == 2
+
+
 def test_tables_leave_out_results_of_other_settings(tmp_path):
     usual = {"env": ALONE, "success": 0.9, "overflow": 0}
     others = [{"changes": {"episode_length": 50}}, {"other_than_in_training": "x"}]

@@ -39,15 +39,12 @@ env = FakePairEnv()
 PAIR = ("robot", "human")
 cases = {
     "one agent": Agents(PPOConfig(**SETTINGS), env, ("joint",)),
-    "two agents": Agents(CoopConfig(**SETTINGS), env, PAIR),
     "central critic": Agents(CoopConfig(**SETTINGS, central_critic=True), env, PAIR),
 }
 press = FakePairPressEnv()
 cases["cost limit"] = Agents(CoopConfig(**SETTINGS, cost_limit=0.5), press, PAIR)
-for name in ("one agent", "two agents"):
-    single = cases[name]
-    lanes = lanes_of(dataclasses.replace(single.config, num_seeds=2))
-    cases[name + ", two seeds"] = SideBySide(single, lanes)
+two = Agents(CoopConfig(**SETTINGS), env, PAIR)
+cases["two agents, two seeds"] = SideBySide(two, lanes_of(dataclasses.replace(two.config, num_seeds=2)))
 found = {}
 for name, agents in cases.items():
     seeds = getattr(agents, "count", 1)
@@ -130,57 +127,26 @@ print(json.dumps({
     "sum": float(totals["sum"]), "is": float(after["x"].sum()), "text": begin.as_text() + go.as_text()}))
 """
 
-# Training on one and on two devices.
-TRAINING = """
-import dataclasses, json
-import jax
-from fake_pair_env import FakePairEnv
-from train.configs import CoopConfig, PPOConfig
-from train.errors import ConfigError
-from train import coop, ppo
-
-BASE = dict(num_env_steps=60_000, num_envs=32, num_mini_batch=4, policy_hidden=(32,),
-            value_hidden=(32,), lr=2e-3, log_interval=8, save_dir=None,
-            recompute_advantages=False)  # 32 environments: values would learn so few steps by heart
-config = CoopConfig(**BASE)
-found = {"devices": jax.device_count()}
-for devices in (1, 2):
-    result = coop.train(FakePairEnv(), dataclasses.replace(config, devices=devices))
-    found[f"on {devices}"] = {
-        "success": result.last("success"), "steps": result.env_steps,
-        "episodes": sum(row["episodes"] for row in result.curve),
-        "used": result.config.devices,
-        "devices": len(jax.tree.leaves(result.learner)[0].devices()),
-    }
-single = PPOConfig(**{**BASE, "num_env_steps": 640 * 4})
-found["ppo"] = ppo.train(FakePairEnv(active=False), single).config.devices
-for fields in ({"devices": 3}, {"num_envs": 33}):
-    try:
-        coop.train(FakePairEnv(), dataclasses.replace(config, **fields))
-    except ConfigError as error:
-        found["refused"] = [*found.get("refused", []), str(error)]
-print(json.dumps(found))
-"""
-
-# Two seeds on two devices, a robot alone and a pair, with a run that goes on with another number of them.
+# Two seeds on two devices, a robot alone and a pair, with a run that goes on with another number of them; what is refused.
 SEEDS = """
 import dataclasses, json, tempfile
 import jax
 from pathlib import Path
 from fake_pair_env import FakePairEnv
 from train.configs import CoopConfig, PPOConfig
+from train.errors import ConfigError
 from train import coop, ppo
 
 BASE = dict(num_env_steps=60_000, num_envs=32, num_mini_batch=4, policy_hidden=(32,), num_seeds=2,
             value_hidden=(32,), lr=2e-3, log_interval=8, save_dir=None,
             recompute_advantages=False)  # 32 environments: values would learn so few steps by heart
-found = {}
-result = ppo.train(FakePairEnv(active=False), PPOConfig(**BASE, devices=2))
-found["alone"] = {
-    "success": [seed.curve[-1]["success"] for seed in result.seeds], "steps": result.env_steps,
-    "used": result.config.devices, "session": result.session_steps,
-}
-result = ppo.train(FakePairEnv(active=False), PPOConfig(**BASE, devices=2, restart_share=0.5, num_candidates=2, candidates_until=0.3))
+found = {"devices": jax.device_count(), "refused": []}
+for fields in ({"devices": 3}, {"num_envs": 33}):
+    try:
+        coop.train(FakePairEnv(), CoopConfig(**BASE | fields))
+    except ConfigError as error:
+        found["refused"].append(str(error))
+result = ppo.train(FakePairEnv(active=False), PPOConfig(**BASE, restart_share=0.5, num_candidates=2, candidates_until=0.3))
 found["restarts"] = [seed.curve[-1]["success"] for seed in result.seeds], result.config.devices
 with tempfile.TemporaryDirectory() as folder:
     config, sessions = CoopConfig(**BASE | {"save_dir": folder}), []
@@ -237,7 +203,7 @@ def piped(code: str, **options) -> subprocess.Popen:
 @pytest.mark.slow
 def test_an_update_on_two_devices_is_the_update_on_one():
     found = last_line(piped(SAME_UPDATE, env=TWO))
-    assert len(found) == 6
+    assert len(found) == 4
     for name, gaps in found.items():
         assert gaps["all"] < 2e-4 and gaps["losses"] < 2e-4, (name, gaps)
         assert gaps["moved"] > 1e-2 and gaps["half"] > 1e-3, (name, gaps)
@@ -255,29 +221,15 @@ def test_what_is_empty_is_not_given_from_device_to_device():
 
 
 @pytest.mark.slow
-def test_training_on_two_devices_is_as_good_as_on_one():
-    found = last_line(piped(TRAINING, env=TWO))
-    assert found["devices"] == 2 and found["ppo"] == 2
-    one, two = found["on 1"], found["on 2"]
-    assert (one["used"], two["used"]) == (1, 2) and two["devices"] == 1
-    assert one["success"] > 0.9 and two["success"] > 0.9
-    assert one["steps"] == two["steps"] == 94 * 640
-    assert abs(one["episodes"] - two["episodes"]) <= 32
+def test_two_seeds_on_two_devices_learn_and_are_resumed_whole():
+    found = last_line(piped(SEEDS, env=TWO))
+    success, devices = found["restarts"]
+    assert len(success) == devices == found["devices"] == 2 and min(success) > 0.9
     too_many, odd = found["refused"]
     assert "--devices 3 were asked for; JAX sees 2 (cpu)" in too_many
     assert (
         "33 environments cannot be divided evenly among 2 devices" in odd and "--num-envs 32" in odd
     )
-
-
-@pytest.mark.slow
-def test_two_seeds_on_two_devices_learn_and_are_resumed_whole():
-    found = last_line(piped(SEEDS, env=TWO))
-    alone = found["alone"]
-    assert len(alone["success"]) == alone["used"] == 2 and min(alone["success"]) > 0.9
-    assert alone["steps"] == 94 * 640 and alone["session"] == 2 * 94 * 640
-    success, devices = found["restarts"]
-    assert len(success) == devices == 2 and min(success) > 0.9
     assert found["sessions"] == [[2 * 640 * 8, devices] for devices in (2, 1, 2)]
     assert found["seed_1"] == found["seed_2"] == [640 * 8, 640 * 16, 640 * 24]
     assert found["combined"] == [[640 * rounds, 2] for rounds in (8, 16, 24)]

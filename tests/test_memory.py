@@ -223,6 +223,7 @@ def test_the_page_computes_the_same_averages():
         np.testing.assert_allclose(theirs(obs), ours(obs), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_adapters_have_it_too():
     pair = PettingZooEnv(PAIR, impl="native", memory=TIMES)
     assert {x: pair.observation_space(x).shape for x in pair.agents or pair.possible_agents} == {

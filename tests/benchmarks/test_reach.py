@@ -60,6 +60,7 @@ def test_a_cup_that_pours_lies_on_its_side_in_any_direction():
     assert np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_hand_turns_a_cup_only_where_the_arm_reaches():
     env = agym_jax.make("DrinkingSawyer-v0", impl="native")
     searcher = reach.Searcher(env, 60, np.random.default_rng(0))

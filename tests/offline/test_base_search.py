@@ -194,6 +194,7 @@ def test_a_bank_tells_for_which_mouth_each_base_was_chosen():
     )
 
 
+@pytest.mark.slow
 def test_pr2_reaches_the_mouth_for_which_its_base_was_chosen_and_the_nearest_one_as_often():
     """The figures of deviation start-person, of all rows: 53 %, of another person's mouth 23 %, with ``for_mouth`` 54 %."""
     task, robot = TASKS["Drinking"], ROBOTS["PR2"]
@@ -319,6 +320,7 @@ def goals_counted(robot: RobotSpec, monkeypatch: pytest.MonkeyPatch) -> tuple[in
     return counts[0], counts[1]
 
 
+@pytest.mark.slow
 def test_goals_inside_the_robots_own_body_do_not_count(monkeypatch: pytest.MonkeyPatch):
     """AG loads Sawyer with self-collision, and PR2 without."""
     counted, all_of_them = goals_counted(ROBOTS["Sawyer"], monkeypatch)

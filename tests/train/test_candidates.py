@@ -104,6 +104,7 @@ def test_the_first_candidate_learns_as_its_seed_would_alone(run):
         assert abs(second - first).max() > 0.01
 
 
+@pytest.mark.slow
 def test_a_run_is_resumed_in_either_part(tmp_path):
     config = dataclasses.replace(CONFIG, save_dir=str(tmp_path))
     took = []

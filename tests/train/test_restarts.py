@@ -159,6 +159,7 @@ def test_what_is_counted_are_new_episodes(monkeypatch):
     assert batch.obs.shape == (60, 32, 4)
 
 
+@pytest.mark.slow
 def test_a_seed_learns_as_it_would_alone(monkeypatch):
     monkeypatch.setattr(restarts, "BEST", 1)
     both = ppo.train(FakeEnv(), dataclasses.replace(CONFIG, num_seeds=2)).seeds
@@ -182,6 +183,7 @@ def test_c_mujoco_trains_with_restarts():
     assert all(np.isfinite(row["return"]) for row in result.curve if row["episodes"])
 
 
+@pytest.mark.slow
 def test_a_pair_trains_with_restarts():
     config = CoopConfig(
         num_envs=32, num_env_steps=3200, num_steps=10, num_mini_batch=4, save_dir=None, restart_share=0.9,

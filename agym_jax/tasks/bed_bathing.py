@@ -36,7 +36,7 @@ _RAD = math.pi / 180.0
 RINGS, PER_RING = 11, 11
 """Largest numbers of rings on a limb and of points on a ring that fit on any person that can be drawn."""
 PATCHES_ALONG, PATCHES_AROUND = 4, 6
-"""Parts of a limb of which value functions see how much remains to be wiped."""
+"""Of each limb, along and around it: value functions see how much of each patch remains to be wiped."""
 CLOSEST = 0.03
 """Smallest spacing of points for which these numbers suffice [m]."""
 

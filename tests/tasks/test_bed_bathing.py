@@ -287,37 +287,30 @@ def test_bed_is_sticky_and_the_person_still():
 
 
 def test_value_functions_see_which_patches_remain():
+    """A wipe reaches 2.5 cm, which is at most two patches either way, and of one limb only."""
     state = begin()
-    clean = np.asarray(TASK.privileged_obs(state))
-    assert clean.shape == (TASK.privileged_obs_size,)
-    assert set(clean) <= {0.0, 1.0}  # nothing wiped yet: 1 where this person has points
-    of_limb = clean.size // 2
+    before = np.asarray(TASK.privileged_obs(state))
+    assert before.shape == (TASK.privileged_obs_size,)
+    assert set(before) <= {0.0, 1.0}  # 1 where this person has points
     points = here(state)
-    for limb, place in enumerate(
-        (points[0], points[-1])
-    ):  # the highest row, and the last of the forearm
-        after, _ = TASK.advance(state, pressing(place))
-        seen = np.asarray(TASK.privileged_obs(after))
-        changed_patches = np.flatnonzero(seen != clean)
-        assert (
-            1 <= changed_patches.size <= 4
-        )  # a reach of 2.5 cm meets at most two patches either way
-        assert set(changed_patches // of_limb) == {limb}
-        assert np.all(seen <= clean)
-    everything = dataclasses.replace(state, dirty=jnp.zeros_like(state.dirty))
-    np.testing.assert_array_equal(TASK.privileged_obs(everything), 0.0)
+    for limb, place in enumerate((points[0], points[-1])):
+        wiped, _ = TASK.advance(state, pressing(place))
+        after = np.asarray(TASK.privileged_obs(wiped))
+        touched = np.flatnonzero(after != before)
+        assert 1 <= touched.size <= 4 and np.all(after <= before)
+        assert set(touched // (before.size // 2)) == {limb}
+    clean = dataclasses.replace(state, dirty=jnp.zeros_like(state.dirty))
+    np.testing.assert_array_equal(TASK.privileged_obs(clean), 0.0)
 
 
-def test_patches_share_the_points_evenly():
-    """Each point belongs to one patch: the patches' points add up to the person's."""
+def test_each_point_belongs_to_one_patch_and_patches_are_about_as_large():
     state = begin()
+    nothing = jnp.zeros_like(state.dirty)
     for limb in range(2):
-        dirty = jnp.zeros_like(state.dirty)
-        wiped_of_each = []
+        patches = []
         for point in np.flatnonzero(np.asarray(state.exists[limb])):
-            one = dataclasses.replace(state, dirty=dirty.at[limb, point].set(1.0))
-            seen = np.asarray(TASK.privileged_obs(one))
-            assert np.count_nonzero(seen) == 1
-            wiped_of_each.append(int(np.flatnonzero(seen)[0]))
-        counts = np.bincount(wiped_of_each)[min(wiped_of_each) :]
-        assert counts.max() <= 3 * counts[counts > 0].min() + 1
+            one = dataclasses.replace(state, dirty=nothing.at[limb, point].set(1.0))
+            (patch,) = np.flatnonzero(np.asarray(TASK.privileged_obs(one)))
+            patches.append(patch)
+        _, sizes = np.unique(patches, return_counts=True)
+        assert len(sizes) == 24 and sizes.min() >= 1 and sizes.max() <= 6, sizes

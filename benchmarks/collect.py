@@ -143,8 +143,10 @@ def find(config: CollectConfig) -> list[Found]:
     Raises:
         CollectError: there are none, the suite has not ended, one has other settings than its id, or nobody knows with which commit they were made.
     """
-    if config.suite and config.trial:
-        raise CollectError("Runs are those of a suite or trials: use --suite or --trial.")
+    if config.trial and (config.suite or config.ship):
+        raise CollectError(
+            "A trial is not of a suite, and ships nothing. Leave out --suite and --ship."
+        )
     if config.suite and config.only:
         raise CollectError(
             "--suite keeps all runs of a suite, with the time of the whole. Leave out --only."

@@ -48,8 +48,8 @@ def _avals(tree: Any) -> list:
     return [(jax.tree_util.keystr(p), x.shape, x.dtype, x.weak_type) for p, x in leaves]
 
 
-# bed, chair and table, one tool and two, a still and an active person, food; the rest of the product is data, and each of its kinds begins
-# as in MJX in tests/sim/test_c_mujoco.py
+# a bed and a chair, one tool and two, a person who acts and one who does not, water; the rest of the product is data. Others begin in
+# MJX in tests/sim/test_c_mujoco.py
 TRACED = (STATIC,)
 TRACED_SLOWLY = (
     "ArmManipulationPR2Human-v0", "BedBathingJacoHuman-v0", "ReachingBaxterHuman-v0", "DrinkingSawyer-v0",

@@ -8,8 +8,8 @@ DEVIATION(cloth-force): AG's number of the gown's force is 10 times the position
 summed over contacts below 1.1 m and 20 units, with robot and wheelchair among them. Observed and rewarded is what the
 gown presses on the person, the mean over a control step, summed over its vertices [N], times AG_FORCE (with
 ``tapered_arms``, AG_FORCE_TAPERED).
-DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor, not the robot, on whose arm AG's lies: with Jaco, that moves the cuff by
-8 to 10 cm before the hand meets it (docs/transfer.md). It stays 38 mm away from limbs, which are capsules. AG's
+DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor, not the robot, on whose arm AG's lies: Jaco's as an obstacle moves the
+cuff by 0.6 to 12 cm before the hand meets it (four starts, docs/transfer.md). It stays 38 mm away from limbs, which are capsules. AG's
 keeps 40 mm from limbs, and from spheres at shoulder, elbow and wrist, whose distance it knows at points 0.25 m apart, linear in between: in the middle of a man's forearm it stays 54 to 73 mm
 from the axis (71 here), 51 to 83 mm from the middle of elbow and hand (81), and 34 to 47 mm 4 cm from the elbow (71); nearest in two recorded episodes, pressed: man 51, 43 and 25, woman 45, 40 and 12.
 With ``tapered_arms``, the arm is found by the same grid here, in a share of the episodes (``agym_jax.matter.cloth.grid``).

@@ -356,7 +356,9 @@ def test_a_trial_has_a_line_of_its_own_and_ships_nothing(runs, repository, capsy
     for other in ("selection", "seed_training", "evaluation"):
         assert not lines(repository, other)
     assert not list((repository / "policies").rglob("*.npz"))
-    assert collecting.main([*words, "--suite"]) == 2
+    for other in (["--suite"], ["--ship", ALONE]):
+        assert collecting.main([*words, *other]) == 2
+        assert "Leave out --suite and --ship" in capsys.readouterr().err
 
 
 def test_tables_leave_out_results_of_other_settings(tmp_path):

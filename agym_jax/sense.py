@@ -6,7 +6,7 @@ the physics steps of a control step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -34,6 +34,17 @@ class ToolSensed:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class LinkMotion:
+    """Poses of r links of the robot at every physics step of a control step."""
+
+    robot: str = field(metadata={"static": True})  # its name
+    names: tuple[str, ...] = field(metadata={"static": True})  # as in the robot's model
+    pos_w: Array  # origin of the link's frame [m]                          (n + 1, r, 3)
+    rot_w: Array  # rotation matrix                                         (n + 1, r, 3, 3)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class Motion:
     """Poses at every physics step of a control step: n + 1 poses for n steps."""
 
@@ -41,6 +52,7 @@ class Motion:
     tool_quat_w: Array  # wxyz                                              (n + 1, 4)
     link_pos_w: dict[str, Array]  # link of the person -> its joint [m]     (n + 1, 3)
     link_rot_w: dict[str, Array]  # link -> rotation matrix                 (n + 1, 3, 3)
+    robot: LinkMotion | None = None  # links of the arms in use; None if made by hand
 
 
 @jax.tree_util.register_dataclass

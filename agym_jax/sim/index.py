@@ -107,6 +107,9 @@ class Index:
     shape_row: np.ndarray  # rows of human.body.SHAPES                       (n_shapes,)
     human_body: np.ndarray  # body ids                                       (n_links,)
     human_geom: np.ndarray  # collision geom ids: capsules and spheres       (n_shapes,)
+    robot: str  # its name
+    robot_links: tuple[str, ...]  # those that the joints of the arms in use move
+    robot_body: np.ndarray  # body ids                                       (r,)
 
     @classmethod
     def of(
@@ -138,6 +141,7 @@ class Index:
         shapes = [x for x, link in body.SHAPES.items() if link in links]
         mount = [f"mount/{g}" for g in robot.solid_mounts.get(task.seat.name, ())]
         torso = int(_ids(model, OBJ.mjOBJ_SITE, [f"robot/{robot.torso}"])[0])
+        robot_links = _moved(model, robot_joint)
         return cls(
             robot_joint=robot_joint,
             robot_qpos=model.jnt_qposadr[robot_joint],
@@ -160,6 +164,9 @@ class Index:
             shape_row=np.array([i for i, x in enumerate(body.SHAPES) if x in shapes], np.int32),
             human_body=_ids(model, OBJ.mjOBJ_BODY, [f"human/{name}" for name in links]),
             human_geom=_ids(model, OBJ.mjOBJ_GEOM, [f"human/{x}" for x in shapes]),
+            robot=robot.name,
+            robot_links=robot_links,
+            robot_body=_ids(model, OBJ.mjOBJ_BODY, [f"robot/{name}" for name in robot_links]),
         )
 
     @cached_property
@@ -177,6 +184,17 @@ def ancestors(model: mujoco.MjModel, body: int) -> set[int]:
         found.add(body)
         body = int(model.body_parentid[body])
     return found
+
+
+def _moved(model: mujoco.MjModel, joints: np.ndarray) -> tuple[str, ...]:
+    """Names of the robot's bodies that any of these joints moves, in the order of the model."""
+    own = set(model.jnt_bodyid[joints].tolist())
+    names = {b: mujoco.mj_id2name(model, OBJ.mjOBJ_BODY, b) or "" for b in range(model.nbody)}
+    return tuple(
+        name.removeprefix("robot/")
+        for b, name in names.items()
+        if name.startswith("robot/") and own & ancestors(model, b)
+    )
 
 
 def _pairs_of(model: mujoco.MjModel, prefixes: tuple[str, ...]) -> np.ndarray:

@@ -20,7 +20,7 @@ from jax import Array
 from agym_jax.human.anthropometry import Dims
 from agym_jax.human.regions import REGIONS, RegionForces, no_forces
 from agym_jax.math3d import capsule_gap, child_quat
-from agym_jax.sense import Motion, Sensed, ToolSensed
+from agym_jax.sense import LinkMotion, Motion, Sensed, ToolSensed
 from agym_jax.sim.index import Index, ToolIndex
 
 
@@ -45,12 +45,14 @@ class ContactSums:
 
 
 class PoseSample(NamedTuple):
-    """Poses of the first tool and of the person's links at one physics step, as the simulator has them."""
+    """Poses of the first tool and of the links of person and robot at one physics step, as the simulator has them."""
 
     tool_pos_w: Any  # tip [m]                                              (3,)
     tool_body_quat_w: Any  # of the body that holds the tool, wxyz          (4,)
     link_pos_w: Any  # of the links of ``index.links`` [m]                  (n_links, 3)
     link_rot_w: Any  # rotation matrices                                    (n_links, 3, 3)
+    robot_pos_w: Any  # of the links of ``index.robot_links`` [m]           (r, 3)
+    robot_rot_w: Any  # rotation matrices                                   (r, 3, 3)
 
 
 def no_contacts(index: Index) -> ContactSums:
@@ -123,12 +125,15 @@ def sample_poses(index: Index, data: Any, xp: Any = jnp) -> PoseSample:
         data: of one environment, kinematics up to date; or of n physics steps, all leaves (n, ...).
         xp: numpy or jax.numpy.
     """
-    tool, bodies = index.tools[0], index.human_body
+    tool, bodies, robot = index.tools[0], index.human_body, index.robot_body
+    pos, rot = xp.array(data.xpos), _matrices(xp.array(data.xmat))
     return PoseSample(
         tool_pos_w=xp.array(data.site_xpos)[..., tool.tip, :],
         tool_body_quat_w=xp.array(data.xquat)[..., tool.body, :],
-        link_pos_w=xp.array(data.xpos)[..., bodies, :],
-        link_rot_w=_matrices(xp.array(data.xmat))[..., bodies, :, :],
+        link_pos_w=pos[..., bodies, :],
+        link_rot_w=rot[..., bodies, :, :],
+        robot_pos_w=pos[..., robot, :],
+        robot_rot_w=rot[..., robot, :, :],
     )
 
 
@@ -150,6 +155,7 @@ def motion_of(index: Index, poses: PoseSample, xp: Any = jnp) -> Motion:
         tool_quat_w=child_quat(poses.tool_body_quat_w, xp.asarray(index.tools[0].quat), xp),
         link_pos_w={name: poses.link_pos_w[:, i] for i, name in enumerate(index.links)},
         link_rot_w={name: poses.link_rot_w[:, i] for i, name in enumerate(index.links)},
+        robot=LinkMotion(index.robot, index.robot_links, poses.robot_pos_w, poses.robot_rot_w),
     )
 
 

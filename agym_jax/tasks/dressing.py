@@ -37,13 +37,14 @@ from agym_jax.matter.cloth import solver as fabrics
 from agym_jax.matter.cloth.garment import GOWN, Garment, load
 from agym_jax.matter.cloth.hang import drawn_swing, settle, swung
 from agym_jax.matter.cloth.obstacles import ag_grid, obstacles, on_limbs
+from agym_jax.matter.cloth.robot_links import LinkGrids, Links, link_grids
 from agym_jax.matter.cloth.solver import Cloth, ClothContact
 from agym_jax.matter.cloth.starts import Starts, load_starts
 from agym_jax.matter.cloth.topology import GOWN_FABRIC, ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import Capsules
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import DRESSING_TERMS, dressing_terms
-from agym_jax.sense import Sensed
+from agym_jax.sense import Motion, Sensed
 from agym_jax.spec import Control, Ending, Goal, HumanSpec, Measure, Preferences, SeatSpec, Surface
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso
 
@@ -82,6 +83,7 @@ class Config:
         dressed: how far it must have moved for success [m].
         tapered_arms: share of the episodes in which the gown meets the arm as AG's cloth does, by distances that are linear
             between points 0.25 m apart: limbs taper, and have edges [1].
+        meets_robot: share of the episodes in which the gown meets the robot's arm, as AG's cloth finds it [1].
         settled_gown: share of the episodes that begin with the packaged gown as it hung in AG, settled in front of the hand;
             in the others it swings back to the hand [1].
         preferences: weights of the human-preference terms.
@@ -91,6 +93,7 @@ class Config:
     action: float = 0.01  # action_weight
     dressed: float = 0.4  # task_success_threshold
     tapered_arms: float = 0.0  # AG: 1
+    meets_robot: float = 0.0  # AG: 1
     settled_gown: float = 0.0  # AG: 1
     preferences: Preferences = Preferences()
 
@@ -98,9 +101,9 @@ class Config:
         """Reject what is not a share.
 
         Raises:
-            SpecError: if ``tapered_arms`` or ``settled_gown`` is not between 0 and 1.
+            SpecError: if ``tapered_arms``, ``meets_robot`` or ``settled_gown`` is not between 0 and 1.
         """
-        for name in ("tapered_arms", "settled_gown"):
+        for name in ("tapered_arms", "meets_robot", "settled_gown"):
             if not 0.0 <= (share := getattr(self, name)) <= 1.0:
                 raise SpecError(
                     f"Dressing's {name} is a share of the episodes, between 0 and 1; got {share}."
@@ -120,6 +123,7 @@ class DressState:
     progress: Array  # share of the whole arm that is in the sleeve now         ()
     force: Array  # of the gown on each limb, mean of the last control step [N] (n_limbs,)
     tapered: Array  # whether the arm is as AG's cloth finds it, 0 or 1     ()
+    meets: Array  # whether the gown meets the robot's arm, 0 or 1          ()
 
 
 @observation(source="dressing.py _get_obs")
@@ -247,6 +251,7 @@ class Dressing:
         """Start with the gown hanging from the gripper, at rest, in front of the person's hand."""
         nowhere, zero = jnp.bool_(False), jnp.float32(0.0)
         tapered = jax.random.bernoulli(jax.random.fold_in(key, 1), self.config.tapered_arms)
+        meets = jax.random.bernoulli(jax.random.fold_in(key, 3), self.config.meets_robot)
         state = DressState(
             cloth=self._hung(key, sensed),
             slid=jnp.zeros(3),
@@ -256,6 +261,7 @@ class Dressing:
             progress=zero,
             force=jnp.zeros(len(TOUCHABLE) + len(BELOW)),
             tapered=jnp.float32(tapered),
+            meets=jnp.float32(meets),
         )
         return self._judge(state, sensed)
 
@@ -282,25 +288,34 @@ class Dressing:
         """Return the gown after the n physics steps of a control step, and its contacts in each of them."""
         motion, tapers = sensed.motion, self.config.tapered_arms > 0.0
         limbs = (*TOUCHABLE, *BELOW)
+        frames, grids = self._robot(motion)
         a, b, radius = obstacles(sensed.dims, limbs, motion.link_pos_w, motion.link_rot_w, tapers)
 
         def one(carry: tuple, moment: tuple) -> tuple[tuple, ClothContact]:
             cloth, slid = carry
-            (a0, b0, hand0, _), (a1, b1, hand1, turned) = moment
+            (a0, b0, hand0, _, f0), (a1, b1, hand1, turned, f1) = moment
+            links = None if grids is None else Links(f0, f1, state.meets, grids)
             grid = ag_grid(limbs, turned, state.tapered) if tapers else None
             cloth, touch = fabrics.step(
                 self.spec, cloth, Capsules(a0, b0, radius), Capsules(a1, b1, radius),
                 held_at(self.spec, hand0 + slid), held_at(self.spec, hand1 + slid),
-                self.control.time_step, fabrics.in_hand(slid), FLOOR, grid,
+                self.control.time_step, fabrics.in_hand(slid), FLOOR, grid, links,
             )  # fmt: skip
             return (cloth, fabrics.slip(slid, touch, self.control.time_step)), touch
 
-        way = a, b, motion.tool_pos_w, {x: motion.link_rot_w[x] for x in ARM_LINKS}
+        way = a, b, motion.tool_pos_w, {x: motion.link_rot_w[x] for x in ARM_LINKS}, frames
         moments = tuple(
             jax.tree.map(lambda x, part=part: x[part], way) for part in (slice(-1), slice(1, None))
         )
         (cloth, slid), touch = jax.lax.scan(one, (state.cloth, state.slid), moments)
         return replace(state, cloth=cloth, slid=slid), touch
+
+    def _robot(self, motion: Motion) -> tuple[Array | None, LinkGrids | None]:
+        """Return where the robot's shapes are at n + 1 moments (n + 1, r, 12), and these; None if no gown meets them."""
+        if self.config.meets_robot <= 0.0 or motion.robot is None:
+            return None, None
+        grids = link_grids(motion.robot.robot, motion.robot.names)
+        return grids.frames(motion.robot.pos_w, motion.robot.rot_w), grids
 
     def _judge(self, state: DressState, sensed: Sensed) -> DressState:
         """Measure how far up the arm the cuff is."""

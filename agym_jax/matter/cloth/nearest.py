@@ -1,8 +1,9 @@
-"""The nearest solid of each vertex of the cloth: capsules that move, of which some may be found as AG's cloth does, and the floor."""
+"""The nearest solid of each vertex of the cloth: capsules that move, of which some may be found as AG's cloth does, the robot's links, and the floor."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from jax.lax import rsqrt
 
 from agym_jax.matter.cloth.grid import MARGIN, Grid, interpolated
 from agym_jax.matter.cloth.kernel import Rows
+from agym_jax.matter.cloth.robot_links import Layout, Links, moved, read_off
 from agym_jax.matter.shapes import TINY, Capsules, Xyz, add, dot, length, map_xyz, scale, sub
 
 
@@ -22,6 +24,7 @@ class Solids:
     gridded: tuple[int, ...]  # those that may be found by a grid
     thickness: float  # of the cloth, which stays so far away [m]
     floor: float | None  # its height [m]; None: there is none
+    links: tuple[Layout, ...] = ()  # shapes of the robot
 
 
 @jax.tree_util.register_dataclass
@@ -38,12 +41,17 @@ class Trajectory:
     radius: Array  # [m]                                                    (s, 1, k)
     grid: Array | None  # axes x, y and z of its grid, world                (s, 9, k)
     on: Array | None  # whether it is found by the grid, 0 or 1             (s, 1, k)
+    frames: Array | None  # of the robot's shapes at the substep's end      (s, 12, r)
+    shifts: Array | None  # by how much these change in the substep         (s, 12, r)
+    meets: Array | None  # whether the cloth meets the robot, 0 or 1        (s, 1, 1)
+    distances: Array | None  # ``LinkGrids.distances`` [m]                  (s, 1, m)
 
 
 def trajectory(
     substeps: int, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array, grid: Grid | None,
+    links: Links | None = None,
 ) -> Trajectory:  # fmt: skip
-    """Straight lines, divided into substeps; see ``solver.step``. The axes of the grids stay as they are."""
+    """Straight lines, divided into substeps; see ``solver.step``. The axes of the capsules' grids stay as they are."""
     share = jnp.arange(substeps + 1)[:, None, None] / substeps
 
     def between(a: Array, b: Array) -> Array:
@@ -60,6 +68,12 @@ def trajectory(
         axes = always(jnp.transpose(grid.rot_w, (2, 1, 0)).reshape(9, count))
         some = jnp.array([[k in grid.which for k in range(count)]])
         on = always(jnp.where(some, grid.on, 0.0))
+    frames = shifts = meets = distances = None
+    if links is not None:
+        way = between(links.start, links.end)
+        frames, shifts = way[1:], way[1:] - way[:-1]
+        meets = always(jnp.reshape(links.on, (1, 1)))
+        distances = always(jnp.asarray(links.grids.distances)[None])
     return Trajectory(
         anchors=between(anchors_start, anchors_end)[1:],
         a=a[1:],
@@ -70,6 +84,10 @@ def trajectory(
         radius=always(end.radius[None]),
         grid=axes,
         on=on,
+        frames=frames,
+        shifts=shifts,
+        meets=meets,
+        distances=distances,
     )
 
 
@@ -81,13 +99,19 @@ def vectors(rows: Rows, at: int | Array, first: int = 0) -> Xyz:
 def nearest(pos: Xyz, now: Trajectory, solids: Solids) -> tuple[Array, Array, Xyz, Xyz]:
     """Nearest solid of each vertex: index, distance [m], normal, displacement of its surface [m]; each (n,).
 
-    The floor's index is the number of capsules.
+    The floor's index is the number of capsules, the robot's shapes follow.
     """
     zero = scale(jnp.float32(0.0), pos)
     which, dist = jnp.full_like(pos[0], solids.count, jnp.int32), jnp.full_like(pos[0], jnp.inf)
     normal = carried = zero
     if solids.count:
         which, dist, normal, carried = _nearest_capsule(pos, now, solids)
+    for k, layout in enumerate(solids.links):
+        found = _link(pos, now, solids, k, layout)
+        nearer = found[1] < dist
+        which, dist, normal, carried = jax.tree.map(
+            partial(jnp.where, nearer), found, (which, dist, normal, carried)
+        )
     if solids.floor is not None:
         above = pos[2] - solids.floor
         lower = above < dist
@@ -130,6 +154,29 @@ def _nearest_capsule(pos: Xyz, now: Trajectory, solids: Solids) -> tuple[Array, 
     dist, normal = surface(which, off, bool(solids.gridded))
     carried = add(vectors(now.moved, which), scale(share, vectors(now.turned, which)))
     return which, dist, normal, carried
+
+
+def _link(
+    pos: Xyz, now: Trajectory, solids: Solids, k: int, layout: Layout
+) -> tuple[Array, Array, Xyz, Xyz]:
+    """``nearest`` for one shape of the robot."""
+    assert now.frames is not None
+    assert now.shifts is not None
+    assert now.meets is not None
+    assert now.distances is not None
+    off = sub(pos, vectors(now.frames, k))
+    axes, turned = (
+        [vectors(rows, k, first) for first in (3, 6, 9)] for rows in (now.frames, now.shifts)
+    )
+    x, y, z = (dot(off, axis) for axis in axes)
+    dist, slopes, known = read_off((x, y, z), now.distances, layout)
+    met = known & (now.meets[0, 0] > 0.5)
+    dist = jnp.where(met, dist - (MARGIN - solids.thickness), jnp.inf)
+    steepest = scale(rsqrt(jnp.maximum(dot(slopes, slopes), TINY)), slopes)
+    zero = scale(jnp.float32(0.0), pos)
+    carried = moved(turned, add(zero, vectors(now.shifts, k)), (x, y, z))
+    which = jnp.full_like(pos[0], solids.count + 1 + k, jnp.int32)
+    return which, dist, moved(axes, zero, steepest), carried
 
 
 def _by_grid(pos: Xyz, now: Trajectory, k: int | Array) -> tuple[Array, Xyz, Array]:

@@ -35,6 +35,7 @@ from jax.lax import rsqrt
 from agym_jax.matter.cloth.grid import Grid
 from agym_jax.matter.cloth.kernel import InArrays, Publish, Rows, State, advance
 from agym_jax.matter.cloth.nearest import Solids, Trajectory, nearest, trajectory, vectors
+from agym_jax.matter.cloth.robot_links import Links
 from agym_jax.matter.cloth.topology import ClothSpec, PairTable, Tables, tables
 from agym_jax.matter.shapes import (
     TINY,
@@ -109,7 +110,7 @@ def anchor_positions(spec: ClothSpec, pos_w: Array, rot_w: Array | None = None) 
 
 def step(
     spec: ClothSpec, cloth: Cloth, start: Capsules, end: Capsules, anchors_start: Array, anchors_end: Array, dt: float,
-    held: Array | None = None, floor: float | None = None, grid: Grid | None = None,
+    held: Array | None = None, floor: float | None = None, grid: Grid | None = None, links: Links | None = None,
 ) -> tuple[Cloth, ClothContact]:  # fmt: skip
     """Advance by one physics step, while solids and anchors move along straight lines.
 
@@ -124,15 +125,17 @@ def step(
         held: whether the anchors hold the cloth, () bool; they do if left out.
         floor: height of the floor [m]; there is none if left out.
         grid: which capsules the cloth finds as AG's does; none if left out.
+        links: those of the robot, which have no forces in the result; none if left out.
 
     Returns:
         cloth, and its contact forces. A vertex counts for the solid that it touched last.
     """
     h, vel_before = dt / spec.substeps, cloth.vel_w
     mass = jnp.asarray(spec.mass, jnp.float32)
-    solids = Solids(len(end.radius), grid.which if grid else (), spec.fabric.thickness, floor)
+    solids = Solids(len(end.radius), grid.which if grid else (), spec.fabric.thickness, floor,
+                    links.grids.layouts if links else ())  # fmt: skip
     substep = partial(_substep, spec, h, solids)
-    path = trajectory(spec.substeps, start, end, anchors_start, anchors_end, grid)
+    path = trajectory(spec.substeps, start, end, anchors_start, anchors_end, grid, links)
     *after, pushed, touched = advance(
         substep, tables(spec, h), cloth.pos_w, cloth.vel_w, path, held
     )

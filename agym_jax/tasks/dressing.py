@@ -8,8 +8,8 @@ DEVIATION(cloth-force): AG's number of the gown's force is 10 times the position
 summed over contacts below 1.1 m and 20 units, with robot and wheelchair among them. Observed and rewarded is what the
 gown presses on the person, the mean over a control step, summed over its vertices [N], times AG_FORCE (with
 ``tapered_arms``, AG_FORCE_TAPERED).
-DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor, not the robot, on whose arm AG's lies: Jaco's as an obstacle moves the
-cuff by 0.6 to 12 cm before the hand meets it (four starts, docs/transfer.md). It stays 38 mm away from limbs, which are capsules. AG's
+DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor; the robot's arm, on which AG's lies, only with ``meets_robot``, in a share of the
+episodes, which moves the cuff before the hand by SIZE (docs/transfer.md). It stays 38 mm away from limbs, which are capsules. AG's
 keeps 40 mm from limbs, and from spheres at shoulder, elbow and wrist, whose distance it knows at points 0.25 m apart, linear in between: in the middle of a man's forearm it stays 54 to 73 mm
 from the axis (71 here), 51 to 83 mm from the middle of elbow and hand (81), and 34 to 47 mm 4 cm from the elbow (71); nearest in two recorded episodes, pressed: man 51, 43 and 25, woman 45, 40 and 12.
 With ``tapered_arms``, the arm is found by the same grid here, in a share of the episodes (``agym_jax.matter.cloth.grid``).
@@ -35,11 +35,11 @@ from agym_jax.human.body import LEFT_ARM
 from agym_jax.matter.cloth import sleeve
 from agym_jax.matter.cloth import solver as fabrics
 from agym_jax.matter.cloth.garment import GOWN, Garment, load
-from agym_jax.matter.cloth.hang import drawn_swing, settle, swung
+from agym_jax.matter.cloth.hang import hanging
 from agym_jax.matter.cloth.obstacles import ag_grid, obstacles, on_limbs
 from agym_jax.matter.cloth.robot_links import LinkGrids, Links, link_grids
 from agym_jax.matter.cloth.solver import Cloth, ClothContact
-from agym_jax.matter.cloth.starts import Starts, load_starts
+from agym_jax.matter.cloth.starts import Starts, begun, load_starts
 from agym_jax.matter.cloth.topology import GOWN_FABRIC, ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import Capsules
 from agym_jax.observe import column, observation, part
@@ -215,11 +215,7 @@ class Dressing:
     @cached_property
     def gown(self) -> Garment:
         """The garment that is put on, in its hanging shape."""
-        garment = load(self.garment)
-        if garment.hanging is not None:
-            return garment
-        with jax.ensure_compile_time_eval():  # it is the same in every program that asks for it
-            return settle(garment, self.fabric)
+        return hanging(load(self.garment), self.fabric)
 
     @cached_property
     def spec(self) -> ClothSpec:
@@ -249,11 +245,12 @@ class Dressing:
 
     def init(self, key: Array, sensed: Sensed) -> DressState:
         """Start with the gown hanging from the gripper, at rest, in front of the person's hand."""
-        nowhere, zero = jnp.bool_(False), jnp.float32(0.0)
-        tapered = jax.random.bernoulli(jax.random.fold_in(key, 1), self.config.tapered_arms)
-        meets = jax.random.bernoulli(jax.random.fold_in(key, 3), self.config.meets_robot)
+        nowhere, zero, c = jnp.bool_(False), jnp.float32(0.0), self.config
+        tapered = jax.random.bernoulli(jax.random.fold_in(key, 1), c.tapered_arms)
+        meets = jax.random.bernoulli(jax.random.fold_in(key, 3), c.meets_robot)
+        gripper_w, hand_w = sensed.tool.pos_w, arm_of(sensed).hand_end_w
         state = DressState(
-            cloth=self._hung(key, sensed),
+            cloth=begun(self.spec, self.starts, c.settled_gown, key, gripper_w, BELOW_HAND, hand_w),
             slid=jnp.zeros(3),
             on_arm=sleeve.SleeveState(nowhere, nowhere),
             dressed=zero,
@@ -264,17 +261,6 @@ class Dressing:
             meets=jnp.float32(meets),
         )
         return self._judge(state, sensed)
-
-    def _hung(self, key: Array, sensed: Sensed) -> Cloth:
-        """Return the gown as a new episode begins."""
-        hand_w, held_w = arm_of(sensed).hand_end_w, sensed.tool.pos_w - BELOW_HAND * UP
-        cloth = fabrics.initial(self.spec, held_w)
-        pos_w = swung(cloth.pos_w, held_w, hand_w, drawn_swing(key))
-        if self.starts is not None:
-            settled = jax.random.bernoulli(jax.random.fold_in(key, 2), self.config.settled_gown)
-            settled_w = self.starts.nearest(sensed.tool.pos_w, hand_w)
-            pos_w = jnp.where(settled, settled_w, pos_w)
-        return replace(cloth, pos_w=jnp.where(self.spec.held[:, None] < 0, pos_w, cloth.pos_w))
 
     def advance(self, state: DressState, sensed: Sensed) -> tuple[DressState, dict[str, Array]]:
         """Simulate the gown as the hand moves, and measure how far up the arm it is."""
@@ -311,7 +297,7 @@ class Dressing:
         return replace(state, cloth=cloth, slid=slid), touch
 
     def _robot(self, motion: Motion) -> tuple[Array | None, LinkGrids | None]:
-        """Return where the robot's shapes are at n + 1 moments (n + 1, r, 12), and these; None if no gown meets them."""
+        """Return where the robot's shapes are at n + 1 moments (n + 1, r, 12), and these; None if the gown meets none."""
         if self.config.meets_robot <= 0.0 or motion.robot is None:
             return None, None
         grids = link_grids(motion.robot.robot, motion.robot.names)

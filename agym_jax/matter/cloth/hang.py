@@ -60,6 +60,14 @@ def settle(
     return replace(garment, hanging=np.asarray(hang()))
 
 
+def hanging(garment: Garment, fabric: Fabric) -> Garment:
+    """The garment with its hanging shape, in which it is settled if its file has none."""
+    if garment.hanging is not None:
+        return garment
+    with jax.ensure_compile_time_eval():  # it is the same in every program that asks for it
+        return settle(garment, fabric)
+
+
 def drawn_swing(key: Array) -> Array:
     """Draw how far a gown is swung when an episode begins, to the person's left and forward of the hand [m] (2,)."""
     low, high = jnp.array([BESIDE, BEFORE]).T

@@ -22,7 +22,7 @@ from agym_jax.errors import SpecError
 from agym_jax.matter.cloth.garment import GarmentError
 from agym_jax.matter.cloth.grid import MARGIN, SPACING
 from agym_jax.matter.cloth.kernel import Rows
-from agym_jax.matter.shapes import Xyz
+from agym_jax.matter.shapes import Xyz, add, scale
 
 LINKS = "garments/robot_links.npz"
 
@@ -86,7 +86,7 @@ def read_off(local: Xyz, distances: Rows, layout: Layout) -> tuple[Array, Xyz, A
     Returns:
         distance [m] (n,), its slopes along x, y and z, times SPACING [m], each (n,), and bool (n,).
     """
-    at, known, shares = layout.offset, True, []
+    at, known, shares = layout.offset, jnp.isfinite(local[0]), []
     for x, first, points, stride in zip(
         local, layout.first, layout.points, layout.strides, strict=True
     ):
@@ -122,7 +122,7 @@ def _bilinear(corners: tuple[Array, ...] | list[Array], u: Array, v: Array) -> A
 def moved(turned: list[Xyz], origin: Xyz, local: Xyz) -> Xyz:
     """Displacement of points of a shape [m], each (n,), from those of its grid's axes and origin."""
     for axis, x in zip(turned, local, strict=True):
-        origin = tuple(o + x * a for o, a in zip(origin, axis, strict=True))
+        origin = add(origin, scale(x, axis))
     return origin
 
 

@@ -7,8 +7,9 @@ and the tip of the person's hand. The programs that recorded and matched them ar
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -16,6 +17,9 @@ from jax import Array
 from agym_jax.data.assets import asset_path
 from agym_jax.data.npz import read_arrays
 from agym_jax.matter.cloth.garment import GarmentError
+from agym_jax.matter.cloth.hang import drawn_swing, swung
+from agym_jax.matter.cloth.solver import Cloth, initial
+from agym_jax.matter.cloth.topology import ClothSpec
 
 STARTS = "garments/gown_starts.npz"
 
@@ -47,6 +51,29 @@ class Starts:
         hung = jnp.asarray(self.vertices, jnp.float32)[which]
         below = jnp.clip(hung[:, 2] / (hand_w - gripper_w)[2], 0.0, 1.0)
         return gripper_w + hung.at[:, 1].add(-away[which, 1] * below)
+
+
+def begun(
+    spec: ClothSpec, starts: Starts | None, share: float, key: Array, gripper_w: Array, below: float, hand_w: Array,
+) -> Cloth:  # fmt: skip
+    """Return a gown as a new episode begins: swung to the hand, or as one hung in AG.
+
+    Args:
+        spec: of the gown.
+        starts: recorded gowns; None: it is always swung.
+        share: of the episodes that begin with one of these [1].
+        key: of what is drawn.
+        gripper_w: position of the gripper [m] (3,).
+        below: how far below that the gown is held [m].
+        hand_w: tip of the person's hand [m] (3,).
+    """
+    held_w = gripper_w - jnp.array([0.0, 0.0, below])
+    cloth = initial(spec, held_w)
+    pos_w = swung(cloth.pos_w, held_w, hand_w, drawn_swing(key))
+    if starts is not None:
+        settled = jax.random.bernoulli(jax.random.fold_in(key, 2), share)
+        pos_w = jnp.where(settled, starts.nearest(gripper_w, hand_w), pos_w)
+    return replace(cloth, pos_w=jnp.where(spec.held[:, None] < 0, pos_w, cloth.pos_w))
 
 
 def load_starts(vertices: int) -> Starts:

@@ -38,7 +38,7 @@ class LinkMotion:
     """Poses of r links of the robot at every physics step of a control step."""
 
     robot: str = field(metadata={"static": True})  # its name
-    names: tuple[str, ...] = field(metadata={"static": True})  # as in the robot's model
+    names: tuple[str, ...] = field(metadata={"static": True})  # what is fixed to one is part of it
     pos_w: Array  # origin of the link's frame [m]                          (n + 1, r, 3)
     rot_w: Array  # rotation matrix                                         (n + 1, r, 3, 3)
 

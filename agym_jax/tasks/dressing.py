@@ -8,8 +8,8 @@ DEVIATION(cloth-force): AG's number of the gown's force is 10 times the position
 summed over contacts below 1.1 m and 20 units, with robot and wheelchair among them. Observed and rewarded is what the
 gown presses on the person, the mean over a control step, summed over its vertices [N], times AG_FORCE (with
 ``tapered_arms``, AG_FORCE_TAPERED).
-DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor; the robot's arm, on which AG's lies, only with ``meets_robot``, in a share of the
-episodes, which moves the cuff before the hand by SIZE (docs/transfer.md). It stays 38 mm away from limbs, which are capsules. AG's
+DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor; the robot's arm, on which AG's gown rests if it is Jaco's (fingers of all four touch it), only in the share ``meets_robot``
+of the episodes. With ``settled_gown``, Jaco's cuff is SIZE (docs/parity.md). The gown stays 38 mm away from limbs, which are capsules. AG's
 keeps 40 mm from limbs, and from spheres at shoulder, elbow and wrist, whose distance it knows at points 0.25 m apart, linear in between: in the middle of a man's forearm it stays 54 to 73 mm
 from the axis (71 here), 51 to 83 mm from the middle of elbow and hand (81), and 34 to 47 mm 4 cm from the elbow (71); nearest in two recorded episodes, pressed: man 51, 43 and 25, woman 45, 40 and 12.
 With ``tapered_arms``, the arm is found by the same grid here, in a share of the episodes (``agym_jax.matter.cloth.grid``).
@@ -37,14 +37,14 @@ from agym_jax.matter.cloth import solver as fabrics
 from agym_jax.matter.cloth.garment import GOWN, Garment, load
 from agym_jax.matter.cloth.hang import hanging
 from agym_jax.matter.cloth.obstacles import ag_grid, obstacles, on_limbs
-from agym_jax.matter.cloth.robot_links import LinkGrids, Links, link_grids
+from agym_jax.matter.cloth.robot_links import Links, links_met
 from agym_jax.matter.cloth.solver import Cloth, ClothContact
-from agym_jax.matter.cloth.starts import Starts, begun, load_starts
+from agym_jax.matter.cloth.starts import Starts, gown_at_start, load_starts
 from agym_jax.matter.cloth.topology import GOWN_FABRIC, ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import Capsules
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import DRESSING_TERMS, dressing_terms
-from agym_jax.sense import Motion, Sensed
+from agym_jax.sense import Sensed
 from agym_jax.spec import Control, Ending, Goal, HumanSpec, Measure, Preferences, SeatSpec, Surface
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso
 
@@ -246,11 +246,17 @@ class Dressing:
     def init(self, key: Array, sensed: Sensed) -> DressState:
         """Start with the gown hanging from the gripper, at rest, in front of the person's hand."""
         nowhere, zero, c = jnp.bool_(False), jnp.float32(0.0), self.config
-        tapered = jax.random.bernoulli(jax.random.fold_in(key, 1), c.tapered_arms)
-        meets = jax.random.bernoulli(jax.random.fold_in(key, 3), c.meets_robot)
+        shares = (c.tapered_arms, c.settled_gown, c.meets_robot)
+        tapered, settled, meets = (
+            jax.random.bernoulli(jax.random.fold_in(key, i), share)
+            for i, share in enumerate(shares, 1)
+        )
+        links_met(c.meets_robot, sensed.motion.robot)  # refuses a robot of which nothing is known
         gripper_w, hand_w = sensed.tool.pos_w, arm_of(sensed).hand_end_w
         state = DressState(
-            cloth=begun(self.spec, self.starts, c.settled_gown, key, gripper_w, BELOW_HAND, hand_w),
+            cloth=gown_at_start(
+                self.spec, self.starts, settled, key, gripper_w, BELOW_HAND, hand_w
+            ),
             slid=jnp.zeros(3),
             on_arm=sleeve.SleeveState(nowhere, nowhere),
             dressed=zero,
@@ -274,7 +280,7 @@ class Dressing:
         """Return the gown after the n physics steps of a control step, and its contacts in each of them."""
         motion, tapers = sensed.motion, self.config.tapered_arms > 0.0
         limbs = (*TOUCHABLE, *BELOW)
-        frames, grids = self._robot(motion)
+        frames, grids = links_met(self.config.meets_robot, motion.robot)
         a, b, radius = obstacles(sensed.dims, limbs, motion.link_pos_w, motion.link_rot_w, tapers)
 
         def one(carry: tuple, moment: tuple) -> tuple[tuple, ClothContact]:
@@ -295,13 +301,6 @@ class Dressing:
         )
         (cloth, slid), touch = jax.lax.scan(one, (state.cloth, state.slid), moments)
         return replace(state, cloth=cloth, slid=slid), touch
-
-    def _robot(self, motion: Motion) -> tuple[Array | None, LinkGrids | None]:
-        """Return where the robot's shapes are at n + 1 moments (n + 1, r, 12), and these; None if the gown meets none."""
-        if self.config.meets_robot <= 0.0 or motion.robot is None:
-            return None, None
-        grids = link_grids(motion.robot.robot, motion.robot.names)
-        return grids.frames(motion.robot.pos_w, motion.robot.rot_w), grids
 
     def _judge(self, state: DressState, sensed: Sensed) -> DressState:
         """Measure how far up the arm the cuff is."""

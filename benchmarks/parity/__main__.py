@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "benchmarks" / "results" / "parity.json"
 PAGE = ROOT / "docs" / "parity.md"
 SECTIONS = (
-    "starts", "outline", "shapes", "friction", "pressing", "pushed_arm", "bed", "limp_arm", "lying_arm", "beside_bed", "scooper", "wiper", "head", "motors", "forces", "matter", "gown", "cuff", "dressing",
+    "starts", "outline", "shapes", "friction", "pressing", "pushed_arm", "bed", "limp_arm", "lying_arm", "beside_bed", "scooper", "wiper", "head", "motors", "forces", "matter", "gown", "cuff", "dressing", "robot_arm",
 )  # fmt: skip
 """Modules of this package, in the order of the page. The first line of each docstring is its heading,
 the rest of the docstring its text."""

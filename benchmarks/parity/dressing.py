@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import agym_jax
+from agym_jax.state import State
 from benchmarks.parity.row import Row, traces
 from benchmarks.recorded_episode import begin_as, episode_as
 
@@ -37,15 +38,20 @@ def env_of(robot: str, settled: bool) -> agym_jax.Env:
     return agym_jax.make(f"Dressing{robot}-v0", impl="native", config=config)
 
 
-def play(env: agym_jax.Env, case: int, key: jax.Array) -> float:
-    """How far up the arm the cuff came in a replay, the tip of the hand being 0 [m]."""
+def begin(env: agym_jax.Env, case: int, key: jax.Array) -> State:
+    """The start of a replay of one row of the traces."""
     kept, state = traces("dressing"), env.reset(key)
     base = {x: jnp.asarray(kept[x][case]) for x in ("base_pos", "base_quat")}
     place = dataclasses.replace(state.episode.placement, **base)
     drawn = dataclasses.replace(state.episode, placement=place)
     off = np.asarray(jax.random.uniform(key, (7,), minval=-OFF, maxval=OFF))
     episode = episode_as(env, kept["q"][case] + off, float(kept["sex"][case]), drawn)
-    state = begin_as(env, state, episode, key)
+    return begin_as(env, state, episode, key)
+
+
+def play(env: agym_jax.Env, case: int, key: jax.Array) -> float:
+    """How far up the arm the cuff came in a replay, the tip of the hand being 0 [m]."""
+    kept, state = traces("dressing"), begin(env, case, key)
     for action in kept["actions"][case, : kept["steps"][case]]:
         state = env.step(state, action)
     return max(float(state.task.best), 0.0)

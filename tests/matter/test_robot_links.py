@@ -14,17 +14,31 @@ import numpy as np
 import pytest
 from cloth_scene import DT, NOTHING, sheet
 from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial.transform import Rotation
 
 from agym_jax.data.assets import asset_path
 from agym_jax.errors import SpecError
 from agym_jax.matter.cloth import solver as fabrics
-from agym_jax.matter.cloth.grid import MARGIN, SPACING, Grid
+from agym_jax.matter.cloth.grid import SPACING, Grid
 from agym_jax.matter.cloth.kernel import InArrays, kernel
-from agym_jax.matter.cloth.robot_links import Layout, LinkGrids, Links, link_grids, read_off
+from agym_jax.matter.cloth.nearest import Solids, nearest, trajectory
+from agym_jax.matter.cloth.robot_links import (
+    LINKS,
+    Layout,
+    LinkGrids,
+    Links,
+    link_grids,
+    links_met,
+    read_off,
+)
 from agym_jax.matter.cloth.solver import Cloth, ClothContact, step
 from agym_jax.matter.cloth.topology import GOWN_FABRIC, build_cloth
 from agym_jax.matter.shapes import Capsules
 from agym_jax.robots import ROBOTS
+from agym_jax.sim.scene import build_scene
+from agym_jax.sim.sensing import motion_at_rest
+from agym_jax.spec import RobotSpec
+from agym_jax.tasks.dressing import DRESSING
 
 RADIUS, LONG = 0.05, 0.2  # of a capsule along x [m]
 POINTS = SPACING * np.arange(-2, 3)
@@ -138,36 +152,115 @@ def test_kernel_equals_xla_with_links(monkeypatch: pytest.MonkeyPatch):
     assert (expected[0].pos_w - falling().pos_w)[:, 2].max() > 1e-3
 
 
+def test_a_limb_is_not_pressed_by_what_a_link_does():
+    low = -RADIUS - 0.011  # just in reach
+    beam = Capsules(jnp.array([[0.0, 0.0, low]]), jnp.array([[LONG, 0.0, low]]), jnp.array([RADIUS]))  # fmt: skip
+    alone = jax.jit(run_of(None, beam))(falling())[1]
+    higher = frame((LONG / 2, 0.0, 0.01 - RADIUS))
+    links = Links(higher, higher, jnp.float32(1), CAPSULE)
+    behind = jax.jit(run_of(links, beam))(falling())[1]
+    assert alone.total[0] > 0.01 and 0.0 < behind.total[0] < 0.7 * alone.total[0]
+
+
+def lopsided() -> LinkGrids:
+    """A shape without symmetry, turned and moved in its link."""
+    rng = np.random.default_rng(1)
+    slope, distances = np.array([0.5, -0.2, 0.8]), np.zeros((3, 3, 3))
+    for i in np.ndindex(3, 3, 3):
+        distances[i] = SPACING * (slope @ (np.array(i) - 1)) + rng.uniform(-0.02, 0.02)
+    turn = Rotation.from_euler("xyz", [0.4, -0.9, 1.3]).as_matrix()
+    return LinkGrids(
+        np.array([1]), np.float32([[0.1, -0.2, 0.05]]), turn[None].astype(np.float32),
+        (Layout((-1, -1, -1), (3, 3, 3), 0),), distances.astype(np.float32).ravel(),
+    )  # fmt: skip
+
+
+def test_grids_turn_with_their_links():
+    shape = lopsided()
+    turns = Rotation.from_euler("zyx", [[0.3, 0.2, 0.1], [1.0, -0.7, 0.5]])
+    pos = np.float32([[[9.0, 9.0, 9.0], [1.0, 2.0, 3.0]]])
+    found = shape.frames(jnp.asarray(pos), jnp.asarray(turns.as_matrix()[None], jnp.float32))
+    point = np.array([0.03, 0.11, -0.07])  # in the frame of the grid
+    in_link = shape.pos[0] + shape.rot[0] @ point
+    origin, axes = found[0, 0, :3], np.asarray(found[0, 0, 3:]).reshape(3, 3)
+    world = pos[0, 1] + turns[1].apply(in_link)
+    np.testing.assert_allclose(origin + point @ axes, world, atol=1e-5)
+
+
+def test_normals_point_up_the_distance_and_surfaces_move_with_their_links():
+    shape, e = lopsided(), 1e-3
+    turns = Rotation.from_euler("zyx", [[0.3, 0.2, 0.1], [0.32, 0.17, 0.12]])
+    pos = np.float32([[0.0, 0.0, 0.0], [0.004, -0.002, 0.003]])
+    rot = jnp.asarray(turns.as_matrix(), jnp.float32)[:, None]
+    both = [jnp.asarray(np.stack([x, x], 1)) for x in (pos, rot[:, 0])]
+    start, end = shape.frames(*both)
+    links, none = Links(start, end, jnp.float32(1), shape), jnp.zeros((1, 3))
+    path = trajectory(1, NOTHING, NOTHING, none, none, None, links)
+    now = jax.tree.map(lambda x: InArrays(x[0]), path)
+    solids = Solids(0, (), 0.04, None, shape.layouts)
+
+    def at(points: np.ndarray) -> tuple:
+        return nearest(tuple(jnp.asarray(points.T, jnp.float32)), now, solids)
+
+    local = np.random.default_rng(0).uniform(0.05, 0.2, (20, 3))
+    world = np.asarray(end[0, :3]) + local @ np.asarray(end[0, 3:]).reshape(3, 3)
+    which, _, normal, carried = at(world)
+    assert (which == 1).all()  # the floor would be 0
+    slope = [(at(world + s)[1] - at(world - s)[1]) / (2 * e) for s in e * np.eye(3)]
+    slope = np.stack(slope, -1)
+    slope /= np.linalg.norm(slope, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.stack(normal, -1), slope, atol=2e-3)
+    before = np.asarray(start[0, :3]) + local @ np.asarray(start[0, 3:]).reshape(3, 3)
+    np.testing.assert_allclose(np.stack(carried, -1), world - before, atol=1e-5)
+
+
+def test_a_link_that_is_not_finite_marks_the_cloth_as_broken():
+    there = frame((LONG / 2, 0.0, -RADIUS))
+    lost = Links(there, there.at[0, 4].set(jnp.nan), jnp.float32(1), CAPSULE)
+    assert jax.jit(run_of(lost))(falling())[1].broken
+    assert not jax.jit(run_of(replace(lost, meets=jnp.float32(0))))(falling())[1].broken
+
+
 @pytest.mark.parametrize("robot", ROBOTS.values(), ids=lambda x: x.name)
-def test_recorded_shapes_belong_to_links_of_the_robots(robot):
-    model = mujoco.MjModel.from_xml_path(str(asset_path(robot.model)))
-    names = tuple(model.body(i).name for i in range(model.nbody))
-    grids = link_grids(robot.name, names)
-    assert len(grids.layouts) == len(grids.rows) == len(grids.pos) >= 8
+def test_recorded_shapes_belong_to_links_that_the_arm_moves(robot: RobotSpec):
+    scene = build_scene(DRESSING, robot)
+    with np.load(asset_path(LINKS)) as kept:
+        recorded = kept["link"][kept["robot"] == robot.name].tolist()
+    links = scene.index.robot_links
+    assert set(recorded) <= set(links)
+    grids = link_grids(robot.name, links)
+    assert [links[row] for row in grids.rows] == recorded
     for layout in grids.layouts:
         stop = layout.offset + int(np.prod(layout.points))
         found = grids.distances[layout.offset : stop].reshape(layout.points)
-        assert found.min() < MARGIN and np.isfinite(found).all()
+        assert np.isfinite(found).all()
         for axis in range(3):  # a distance cannot change faster than the place
-            assert np.abs(np.diff(found, axis=axis)).max() < SPACING + 0.02
+            assert np.abs(np.diff(found, axis=axis)).max() < SPACING + 0.002
     square = grids.rot @ grids.rot.swapaxes(1, 2)
     np.testing.assert_allclose(square, np.broadcast_to(np.eye(3), square.shape), atol=1e-5)
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] += np.linspace(0.1, 0.4, scene.model.nq)
+    mujoco.mj_kinematics(scene.model, data)
+    arm = motion_at_rest(scene.index, data, 2).robot
+    assert arm is not None and (arm.robot, arm.names) == (robot.name, links)
+    for name, pos, rot in zip(links, arm.pos_w[-1], arm.rot_w[-1], strict=True):
+        body = data.body(f"robot/{name}")
+        np.testing.assert_allclose(pos, body.xpos, atol=1e-6)
+        np.testing.assert_allclose(rot.ravel(), body.xmat, atol=1e-6)
 
 
-def test_an_unknown_robot_is_named():
+def test_what_is_not_known_is_named():
     with pytest.raises(
         SpecError, match=r"Baxter, Jaco, PR2, Sawyer .*nothing was recorded of R2D2"
     ):
         link_grids("R2D2", ("arm",))
-
-
-def test_a_grid_moves_with_its_link():
-    turned = replace(CAPSULE, pos=np.float32([[0.1, 0.0, 0.0]]), rot=ALONG_X[None])
-    found = np.asarray(
-        turned.frames(jnp.array([[[1.0, 2.0, 3.0]]]), jnp.asarray(ALONG_X)[None, None])
-    )
-    np.testing.assert_allclose(found[0, 0, :3], [1.0, 2.0, 3.1], atol=1e-6)
-    np.testing.assert_allclose(found[0, 0, 3:].reshape(3, 3).T, ALONG_X @ ALONG_X, atol=1e-6)
+    with pytest.raises(
+        SpecError, match=r"links of Jaco: j2s7s300_link_1, .* none of them, but: arm"
+    ):
+        link_grids("Jaco", ("arm",))
+    with pytest.raises(SpecError, match="only where its links are sensed"):
+        links_met(0.5, None)
+    assert links_met(0.0, None) == (None, None)
 
 
 def test_a_physics_step_with_links_is_one_kernel_on_a_gpu():

@@ -211,35 +211,32 @@ def test_the_grid_is_for_the_arm_and_nothing_else(monkeypatch):
 
 
 def test_the_gown_meets_the_robot_in_a_share_of_the_episodes(monkeypatch):
+    s = seen()
+    n = len(s.motion.tool_pos_w)
+    pos = jnp.arange(float(n))[:, None, None] * jnp.array([[[0.01, 0.0, 0.0]]])
+    arm = LinkMotion("Jaco", ("j2s7s300_link_2",), pos, jnp.broadcast_to(jnp.eye(3), (n, 1, 3, 3)))
+    there = replace(s, motion=replace(s.motion, robot=arm))
     some, given = replace(TASK, config=Config(meets_robot=0.25)), []
-    keys, s = jax.random.split(jax.random.PRNGKey(0), 400), seen()
-    drawn = jax.jit(jax.vmap(lambda key: some.init(key, s).meets))(keys)
+    keys = jax.random.split(jax.random.PRNGKey(0), 400)
+    drawn = jax.jit(jax.vmap(lambda key: some.init(key, there).meets))(keys)
     assert set(drawn.tolist()) == {0.0, 1.0} and 0.19 < drawn.mean() < 0.31
     with pytest.raises(SpecError, match=r"meets_robot .* between 0 and 1; got -1"):
         Config(meets_robot=-1.0)
+    other = replace(s, motion=replace(s.motion, robot=replace(arm, robot="Panda")))
+    with pytest.raises(SpecError, match=r"nothing was recorded of Panda"):
+        some.init(keys[0], other)
 
     def step(spec, cloth, *others):
         given.append(others[-1])
-        nothing = jnp.zeros(3)
-        return cloth, ClothContact(
-            jnp.zeros((1, 3)), jnp.zeros(1), nothing, jnp.float32(1), jnp.bool_(False)
-        )
+        nothing, none = jnp.zeros(3), jnp.zeros(1)
+        return cloth, ClothContact(none[None], none, nothing, jnp.float32(1), jnp.bool_(False))
 
-    n = len(s.motion.tool_pos_w)
-    pos = jnp.arange(float(n))[:, None, None] * jnp.array([[[0.01, 0.0, 0.0]]])
-    rot = jnp.broadcast_to(jnp.eye(3), (n, 1, 3, 3))
-    arm = LinkMotion("Jaco", ("j2s7s300_link_2",), pos, rot)
-    there = replace(s, motion=replace(s.motion, robot=arm))
     monkeypatch.setattr(fabrics, "step", step)
     with jax.disable_jit():
         some._move(replace(start(), meets=jnp.float32(1)), there)
         TASK._move(start(), there)
-        with pytest.raises(SpecError, match=r"nothing was recorded of Panda"):
-            some._move(
-                start(), replace(s, motion=replace(s.motion, robot=replace(arm, robot="Panda")))
-            )
     (first, *_), left_out = given[: n - 1], given[n - 1 :]
-    assert len(given) == 2 * (n - 1) and set(left_out) == {None} and first.on == 1
+    assert len(given) == 2 * (n - 1) and set(left_out) == {None} and first.meets == 1
     assert len(first.grids.layouts) == 1  # that of the link that it was given
     np.testing.assert_allclose(first.end - first.start, [[0.01] + [0.0] * 11], atol=1e-6)
 

@@ -12,7 +12,7 @@ from jax.lax import rsqrt
 
 from agym_jax.matter.cloth.grid import MARGIN, Grid, interpolated
 from agym_jax.matter.cloth.kernel import Rows
-from agym_jax.matter.cloth.robot_links import Layout, Links, moved, read_off
+from agym_jax.matter.cloth.robot_links import Layout, Links, read_off
 from agym_jax.matter.shapes import TINY, Capsules, Xyz, add, dot, length, map_xyz, scale, sub
 
 
@@ -24,7 +24,7 @@ class Solids:
     gridded: tuple[int, ...]  # those that may be found by a grid
     thickness: float  # of the cloth, which stays so far away [m]
     floor: float | None  # its height [m]; None: there is none
-    links: tuple[Layout, ...] = ()  # shapes of the robot
+    shapes: tuple[Layout, ...] = ()  # of the robot
 
 
 @jax.tree_util.register_dataclass
@@ -41,7 +41,7 @@ class Trajectory:
     radius: Array  # [m]                                                    (s, 1, k)
     grid: Array | None  # axes x, y and z of its grid, world                (s, 9, k)
     on: Array | None  # whether it is found by the grid, 0 or 1             (s, 1, k)
-    frames: Array | None  # of the robot's shapes at the substep's end      (s, 12, r)
+    frames: Array | None  # of r shapes of the robot at the substep's end   (s, 12, r)
     shifts: Array | None  # by how much these change in the substep         (s, 12, r)
     meets: Array | None  # whether the cloth meets the robot, 0 or 1        (s, 1, 1)
     distances: Array | None  # ``LinkGrids.distances`` [m]                  (s, 1, m)
@@ -72,7 +72,7 @@ def trajectory(
     if links is not None:
         way = between(links.start, links.end)
         frames, shifts = way[1:], way[1:] - way[:-1]
-        meets = always(jnp.reshape(links.on, (1, 1)))
+        meets = always(jnp.reshape(links.meets, (1, 1)))
         distances = always(jnp.asarray(links.grids.distances)[None])
     return Trajectory(
         anchors=between(anchors_start, anchors_end)[1:],
@@ -106,9 +106,9 @@ def nearest(pos: Xyz, now: Trajectory, solids: Solids) -> tuple[Array, Array, Xy
     normal = carried = zero
     if solids.count:
         which, dist, normal, carried = _nearest_capsule(pos, now, solids)
-    for k, layout in enumerate(solids.links):
+    for k, layout in enumerate(solids.shapes):
         found = _link(pos, now, solids, k, layout)
-        nearer = found[1] < dist
+        nearer = (found[1] < dist) | jnp.isnan(found[1])
         which, dist, normal, carried = jax.tree.map(
             partial(jnp.where, nearer), found, (which, dist, normal, carried)
         )
@@ -170,13 +170,19 @@ def _link(
     )
     x, y, z = (dot(off, axis) for axis in axes)
     dist, slopes, known = read_off((x, y, z), now.distances, layout)
-    met = known & (now.meets[0, 0] > 0.5)
-    dist = jnp.where(met, dist - (MARGIN - solids.thickness), jnp.inf)
+    met = now.meets[0, 0] > 0.5
+    away = jnp.where(met & jnp.isnan(x + y + z), jnp.nan, jnp.inf)  # as of capsules
+    dist = jnp.where(met & known, dist - (MARGIN - solids.thickness), away)
     steepest = scale(rsqrt(jnp.maximum(dot(slopes, slopes), TINY)), slopes)
-    zero = scale(jnp.float32(0.0), pos)
-    carried = moved(turned, add(zero, vectors(now.shifts, k)), (x, y, z))
+    carried = add(_along(turned, (x, y, z)), vectors(now.shifts, k))
     which = jnp.full_like(pos[0], solids.count + 1 + k, jnp.int32)
-    return which, dist, moved(axes, zero, steepest), carried
+    return which, dist, _along(axes, steepest), carried
+
+
+def _along(axes: list[Xyz], local: Xyz) -> Xyz:
+    """Vectors that are given by their components along three axes, in the frame of the axes."""
+    x, y, z = (scale(part, axis) for part, axis in zip(local, axes, strict=True))
+    return add(add(x, y), z)
 
 
 def _by_grid(pos: Xyz, now: Trajectory, k: int | Array) -> tuple[Array, Xyz, Array]:
@@ -186,6 +192,5 @@ def _by_grid(pos: Xyz, now: Trajectory, k: int | Array) -> tuple[Array, Xyz, Arr
     off = sub(pos, add(vectors(now.a, k), scale(jnp.float32(0.5), vectors(now.axis, k))))
     x, y, z = (dot(off, axis) for axis in axes)
     half = 0.5 * rsqrt(now.inverse[0, k])
-    dist, (x, y, z), known = interpolated((x, y, z), half)
-    steepest = add(add(scale(x, axes[0]), scale(y, axes[1])), scale(z, axes[2]))
-    return dist, steepest, known
+    dist, steepest, known = interpolated((x, y, z), half)
+    return dist, _along(axes, steepest), known

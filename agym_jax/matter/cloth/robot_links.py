@@ -1,15 +1,17 @@
 """The robot's links as AG's cloth finds them: by distances at the points of a grid, linear in between (see ``cloth.grid``).
 
 The distances from the robots' collision shapes were recorded in Assistive Gym, by the function with which its cloth computes them
-(``btSparseSdf::DistanceToShape``), as were the frames of the shapes in their links. Only shapes that the gown came near in
-recorded episodes of Dressing are among them. Where that function fails, as it does at the very middle of a cylinder, the cloth
-finds nothing in the eight cells around that point, there as here.
+(``btSparseSdf::DistanceToShape``; of a few shapes near the shoulder, which its cloth never asked for, by ``getClosestPoints``), as were the
+frames of the shapes in the links. They are the shapes of all that the joints of the left arm move, but for PR2's upper arm roll
+link, which is nowhere within the margin, and a point at its palm. What is fixed to a link, such as the hand with its fingers as they
+hold the gown, belongs to that link. Trunk, head, base and the other arm have no shapes: the gown passes through them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +24,7 @@ from agym_jax.errors import SpecError
 from agym_jax.matter.cloth.garment import GarmentError
 from agym_jax.matter.cloth.grid import MARGIN, SPACING
 from agym_jax.matter.cloth.kernel import Rows
-from agym_jax.matter.shapes import Xyz, add, scale
+from agym_jax.matter.shapes import Xyz
 
 LINKS = "garments/robot_links.npz"
 
@@ -43,16 +45,16 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class LinkGrids:
-    """The r shapes of a robot that the gown may meet."""
+    """The s shapes of a robot that the gown may meet."""
 
-    rows: np.ndarray  # of their links                                      (r,)
-    pos: np.ndarray  # origin of the grid in the link [m]                   (r, 3)
-    rot: np.ndarray  # axes of the grid in the link, in its columns         (r, 3, 3)
+    rows: np.ndarray  # of their links                                      (s,)
+    pos: np.ndarray  # origin of the grid in the link [m]                   (s, 3)
+    rot: np.ndarray  # axes of the grid in the link, in its columns         (s, 3, 3)
     layouts: tuple[Layout, ...]
     distances: np.ndarray  # at the points of all grids [m]                 (m,)
 
     def frames(self, pos_w: Array, rot_w: Array) -> Array:
-        """Where the grids are at n moments: origin and the axes x, y and z, world (n, r, 12).
+        """Where the grids are at n moments: origin and the axes x, y and z, world (n, s, 12).
 
         Args:
             pos_w: origins of the l links that ``link_grids`` was given, world [m] (n, l, 3).
@@ -64,15 +66,57 @@ class LinkGrids:
         return jnp.concatenate([pos_w, axes.reshape(*pos_w.shape[:2], 9)], -1)
 
 
+class LinkPoses(Protocol):
+    """What a task senses of l links of a robot at n moments, such as ``sense.LinkMotion``."""
+
+    @property
+    def robot(self) -> str:
+        """Its name."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the links (l,)."""
+        ...
+
+    @property
+    def pos_w(self) -> Array:
+        """Origins, world [m] (n, l, 3)."""
+        ...
+
+    @property
+    def rot_w(self) -> Array:
+        """Rotation matrices (n, l, 3, 3)."""
+        ...
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Links:
     """The robot's links during a physics step."""
 
-    start: Array  # ``LinkGrids.frames`` as it begins                       (r, 12)
-    end: Array  # and as it ends                                            (r, 12)
-    on: Array  # 1 where the cloth meets them, 0 where it does not          ()
+    start: Array  # ``LinkGrids.frames`` as it begins                       (s, 12)
+    end: Array  # and as it ends                                            (s, 12)
+    meets: Array  # 1 where the cloth meets them, 0 where it does not       ()
     grids: LinkGrids = field(metadata={"static": True})
+
+
+def links_met(share: float, poses: LinkPoses | None) -> tuple[Array | None, LinkGrids | None]:
+    """Return where the shapes of a robot are at n moments (n, s, 12), and these; None if no gown meets them.
+
+    Args:
+        share: of the episodes in which one does [1].
+        poses: of the robot's links.
+
+    Raises:
+        SpecError: one does, and nothing is known of these links or of the robot.
+    """
+    if share <= 0.0:
+        return None, None
+    if poses is None:
+        raise SpecError("Dressing's gown can meet the robot (meets_robot) only where its links are sensed; they are not.")  # fmt: skip
+    grids = link_grids(poses.robot, poses.names)
+    return grids.frames(poses.pos_w, poses.rot_w), grids
 
 
 def read_off(local: Xyz, distances: Rows, layout: Layout) -> tuple[Array, Xyz, Array]:
@@ -86,13 +130,14 @@ def read_off(local: Xyz, distances: Rows, layout: Layout) -> tuple[Array, Xyz, A
     Returns:
         distance [m] (n,), its slopes along x, y and z, times SPACING [m], each (n,), and bool (n,).
     """
-    at, known, shares = layout.offset, jnp.isfinite(local[0]), []
+    at, known, shares = layout.offset, jnp.ones_like(local[0], bool), []
     for x, first, points, stride in zip(
         local, layout.first, layout.points, layout.strides, strict=True
     ):
         place = x / SPACING - first
-        known = known & (place >= 0.0) & (place <= points - 1.0)
-        cell = jnp.clip(jnp.floor(place), 0.0, points - 2.0)
+        inside = (place >= 0.0) & (place <= points - 1.0)
+        known = known & inside
+        cell = jnp.where(inside, jnp.clip(jnp.floor(place), 0.0, points - 2.0), 0.0)
         shares.append(place - cell)
         at = at + stride * cell.astype(jnp.int32)
     u, v, w = shares
@@ -119,13 +164,6 @@ def _bilinear(corners: tuple[Array, ...] | list[Array], u: Array, v: Array) -> A
     return low + u * (high - low)
 
 
-def moved(turned: list[Xyz], origin: Xyz, local: Xyz) -> Xyz:
-    """Displacement of points of a shape [m], each (n,), from those of its grid's axes and origin."""
-    for axis, x in zip(turned, local, strict=True):
-        origin = add(origin, scale(x, axis))
-    return origin
-
-
 @lru_cache
 def link_grids(robot: str, links: tuple[str, ...]) -> LinkGrids:
     """Return the shapes of a robot that the gown may meet.
@@ -135,19 +173,29 @@ def link_grids(robot: str, links: tuple[str, ...]) -> LinkGrids:
         links: those whose poses are known, in this order.
 
     Raises:
-        SpecError: nothing was recorded of this robot.
+        SpecError: nothing was recorded of this robot, or only of links that are not among these.
         GarmentError: if the file is damaged.
+        MissingAssetError: if there is no such file.
     """
     shapes = {"pos": ("shapes", 3), "rot": ("shapes", 3, 3), "distances": ("shapes", "points", "points", "points")}  # fmt: skip
-    arrays = read_arrays(
-        asset_path(LINKS), "recorded shapes of robots", shapes, GarmentError, "Restore the file from the package."
-    )  # fmt: skip
+    remedy = "Restore the file from the package."
+    path, what = asset_path(LINKS), "file of robots' shapes"
+    arrays = read_arrays(path, what, shapes, GarmentError, remedy)
+    count = len(arrays["pos"])
+    if not all(name in arrays and arrays[name].shape == (count,) for name in ("robot", "link")):
+        raise GarmentError(f"The {what} {path} is damaged: it does not name the link of each shape. {remedy}")  # fmt: skip
     names = list(zip(arrays["robot"].tolist(), arrays["link"].tolist(), strict=True))
-    own = [i for i, (of, link) in enumerate(names) if of == robot and link in links]
-    if not own:
+    recorded = [link for of, link in names if of == robot]
+    if not recorded:
         raise SpecError(
             f"Dressing's gown can meet the arm of {', '.join(sorted({of for of, _ in names}))} "
             f"(meets_robot); nothing was recorded of {robot}."
+        )
+    own = [i for i, (of, link) in enumerate(names) if of == robot and link in links]
+    if not own:
+        raise SpecError(
+            f"Dressing's gown (meets_robot) knows these links of {robot}: {', '.join(dict.fromkeys(recorded))}. "
+            f"The arm in use moves none of them, but: {', '.join(links) or 'nothing'}."
         )
     middle, layouts, distances = arrays["distances"].shape[1] // 2, [], []
     for i in own:

@@ -125,10 +125,10 @@ def step(
         held: whether the anchors hold the cloth, () bool; they do if left out.
         floor: height of the floor [m]; there is none if left out.
         grid: which capsules the cloth finds as AG's does; none if left out.
-        links: those of the robot, which have no forces in the result; none if left out.
+        links: those of the robot, whose forces are only in ``grip_w``; none if left out.
 
     Returns:
-        cloth, and its contact forces. A vertex counts for the solid that it touched last.
+        cloth, and its contact forces. A vertex counts for the solid that it touched last, also for what another did in the same step.
     """
     h, vel_before = dt / spec.substeps, cloth.vel_w
     mass = jnp.asarray(spec.mass, jnp.float32)
@@ -161,7 +161,7 @@ def _grip(spec: ClothSpec, before: Array, after: Array, net_w: Array, dt: float)
     """Force of the anchors on the free vertices [N] (3,), from the change of their momentum.
 
     Forces between vertices cancel. Velocities [m/s] (n, 3) are those ``before`` a physics step and ``after`` it;
-    ``net_w`` is the force of the cloth on all solids and the floor [N] (3,).
+    ``net_w`` is the force of the cloth on all solids, the robot and the floor [N] (3,).
     """
     mass = jnp.asarray(np.where(spec.held >= 0, 0.0, spec.mass), jnp.float32)
 

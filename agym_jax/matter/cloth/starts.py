@@ -1,4 +1,4 @@
-"""How the packaged gown hangs in front of a hand when an episode of Assistive Gym begins: shapes that were recorded there.
+"""How a gown begins: swung to the hand, or as the packaged one hung in front of a hand when an episode of Assistive Gym began, recorded there.
 
 Assistive Gym drops the gown at every reset and lets it settle for 2 s (v0.1 ``dressing.py`` reset). 80 such resets were recorded: the positions of the points
 of its gown that correspond to the vertices of the packaged one (which is the part from the cuff to where it is held), relative to the gripper, in float16,
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -53,16 +52,16 @@ class Starts:
         return gripper_w + hung.at[:, 1].add(-away[which, 1] * below)
 
 
-def begun(
-    spec: ClothSpec, starts: Starts | None, share: float, key: Array, gripper_w: Array, below: float, hand_w: Array,
+def gown_at_start(
+    spec: ClothSpec, starts: Starts | None, settled: Array, key: Array, gripper_w: Array, below: float, hand_w: Array,
 ) -> Cloth:  # fmt: skip
     """Return a gown as a new episode begins: swung to the hand, or as one hung in AG.
 
     Args:
         spec: of the gown.
-        starts: recorded gowns; None: it is always swung.
-        share: of the episodes that begin with one of these [1].
-        key: of what is drawn.
+        starts: recorded gowns; None: it is swung.
+        settled: whether it is one of these, () bool.
+        key: of how far it is swung otherwise.
         gripper_w: position of the gripper [m] (3,).
         below: how far below that the gown is held [m].
         hand_w: tip of the person's hand [m] (3,).
@@ -71,7 +70,6 @@ def begun(
     cloth = initial(spec, held_w)
     pos_w = swung(cloth.pos_w, held_w, hand_w, drawn_swing(key))
     if starts is not None:
-        settled = jax.random.bernoulli(jax.random.fold_in(key, 2), share)
         pos_w = jnp.where(settled, starts.nearest(gripper_w, hand_w), pos_w)
     return replace(cloth, pos_w=jnp.where(spec.held[:, None] < 0, pos_w, cloth.pos_w))
 

@@ -8,7 +8,7 @@ DEVIATION(cloth-force): AG's number of the gown's force is 10 times the position
 summed over contacts below 1.1 m and 20 units, with robot and wheelchair among them. Observed and rewarded is what the
 gown presses on the person, the mean over a control step, summed over its vertices [N], times AG_FORCE (with
 ``tapered_arms``, AG_FORCE_TAPERED).
-DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor; the robot's arm, on which AG's gown rests if it is Jaco's (fingers of all four touch it), only in the share ``meets_robot``
+DEVIATION(cloth-obstacles): the gown meets limbs, torso, the left armrest and the floor; the robot's arm, on which AG's gown rests if it is Jaco's (it touches the hands of all four), only in the share ``meets_robot``
 of the episodes. With ``settled_gown``, Jaco's cuff is 10.5 cm off its place in AG from 1.1 to 3.5 s, with ``meets_robot`` besides 7.3, PR2's 7.1 and 6.7; as episodes begin, 5 and 7 (docs/parity.md). The gown stays 38 mm away from limbs, which are capsules. AG's
 keeps 40 mm from limbs, and from spheres at shoulder, elbow and wrist, whose distance it knows at points 0.25 m apart, linear in between: in the middle of a man's forearm it stays 54 to 73 mm
 from the axis (71 here), 51 to 83 mm from the middle of elbow and hand (81), and 34 to 47 mm 4 cm from the elbow (71); nearest in two recorded episodes, pressed: man 51, 43 and 25, woman 45, 40 and 12.
@@ -37,14 +37,14 @@ from agym_jax.matter.cloth import solver as fabrics
 from agym_jax.matter.cloth.garment import GOWN, Garment, load
 from agym_jax.matter.cloth.hang import hanging
 from agym_jax.matter.cloth.obstacles import ag_grid, obstacles, on_limbs
-from agym_jax.matter.cloth.robot_links import Links, links_met
+from agym_jax.matter.cloth.robot_links import LinkGrids, Links, link_grids
 from agym_jax.matter.cloth.solver import Cloth, ClothContact
 from agym_jax.matter.cloth.starts import Starts, gown_at_start, load_starts
 from agym_jax.matter.cloth.topology import GOWN_FABRIC, ClothSpec, Fabric, build_cloth
 from agym_jax.matter.shapes import Capsules
 from agym_jax.observe import column, observation, part
 from agym_jax.preferences import DRESSING_TERMS, dressing_terms
-from agym_jax.sense import Sensed
+from agym_jax.sense import Motion, Sensed
 from agym_jax.spec import Control, Ending, Goal, HumanSpec, Measure, Preferences, SeatSpec, Surface
 from agym_jax.tasks.shared.assisted_arm import ArmFromChest, ArmFromTorso
 
@@ -246,16 +246,15 @@ class Dressing:
     def init(self, key: Array, sensed: Sensed) -> DressState:
         """Start with the gown hanging from the gripper, at rest, in front of the person's hand."""
         nowhere, zero, c = jnp.bool_(False), jnp.float32(0.0), self.config
-        shares = (c.tapered_arms, c.settled_gown, c.meets_robot)
         tapered, settled, meets = (
             jax.random.bernoulli(jax.random.fold_in(key, i), share)
-            for i, share in enumerate(shares, 1)
+            for i, share in ((1, c.tapered_arms), (2, c.settled_gown), (3, c.meets_robot))
         )
-        links_met(c.meets_robot, sensed.motion.robot)  # refuses a robot of which nothing is known
-        gripper_w, hand_w = sensed.tool.pos_w, arm_of(sensed).hand_end_w
+        self._grids(sensed.motion)  # refuses a robot of which nothing is known
+        hand_w = arm_of(sensed).hand_end_w
         state = DressState(
             cloth=gown_at_start(
-                self.spec, self.starts, settled, key, gripper_w, BELOW_HAND, hand_w
+                self.spec, self.starts, settled, key, sensed.tool.pos_w, BELOW_HAND, hand_w
             ),
             slid=jnp.zeros(3),
             on_arm=sleeve.SleeveState(nowhere, nowhere),
@@ -280,7 +279,8 @@ class Dressing:
         """Return the gown after the n physics steps of a control step, and its contacts in each of them."""
         motion, tapers = sensed.motion, self.config.tapered_arms > 0.0
         limbs = (*TOUCHABLE, *BELOW)
-        frames, grids = links_met(self.config.meets_robot, motion.robot)
+        robot, grids = motion.robot, self._grids(motion)
+        frames = grids.frames(robot.pos_w, robot.rot_w) if robot and grids else None
         a, b, radius = obstacles(sensed.dims, limbs, motion.link_pos_w, motion.link_rot_w, tapers)
 
         def one(carry: tuple, moment: tuple) -> tuple[tuple, ClothContact]:
@@ -301,6 +301,11 @@ class Dressing:
         )
         (cloth, slid), touch = jax.lax.scan(one, (state.cloth, state.slid), moments)
         return replace(state, cloth=cloth, slid=slid), touch
+
+    def _grids(self, motion: Motion) -> LinkGrids | None:
+        """Return the shapes of the robot that the gown meets; None if it meets none in any episode."""
+        robot = motion.robot
+        return link_grids(robot.robot, robot.names) if robot and self.config.meets_robot else None
 
     def _judge(self, state: DressState, sensed: Sensed) -> DressState:
         """Measure how far up the arm the cuff is."""
@@ -381,12 +386,7 @@ def felt(state: DressState) -> Array:
 
 
 def held_at(spec: ClothSpec, hand_w: Array) -> Array:
-    """Return the positions of the held vertices, world [m] (a, 3): the patch keeps its orientation, as in AG.
-
-    Args:
-        spec: specification of the cloth.
-        hand_w: position of the gripper [m] (3,).
-    """
+    """Return the positions of the held vertices, world [m] (a, 3), from that of the gripper (3,): the patch keeps its orientation, as in AG."""
     return fabrics.anchor_positions(spec, hand_w - BELOW_HAND * UP)
 
 

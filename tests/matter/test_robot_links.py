@@ -28,7 +28,6 @@ from agym_jax.matter.cloth.robot_links import (
     LinkGrids,
     Links,
     link_grids,
-    links_met,
     read_off,
 )
 from agym_jax.matter.cloth.solver import Cloth, ClothContact, step
@@ -258,9 +257,6 @@ def test_what_is_not_known_is_named():
         SpecError, match=r"links of Jaco: j2s7s300_link_1, .* none of them, but: arm"
     ):
         link_grids("Jaco", ("arm",))
-    with pytest.raises(SpecError, match="only where its links are sensed"):
-        links_met(0.5, None)
-    assert links_met(0.0, None) == (None, None)
 
 
 def test_a_physics_step_with_links_is_one_kernel_on_a_gpu():

@@ -9,9 +9,9 @@ hold the gown, belongs to that link. Trunk, head, base and the other arm have no
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -66,30 +66,6 @@ class LinkGrids:
         return jnp.concatenate([pos_w, axes.reshape(*pos_w.shape[:2], 9)], -1)
 
 
-class LinkPoses(Protocol):
-    """What a task senses of l links of a robot at n moments, such as ``sense.LinkMotion``."""
-
-    @property
-    def robot(self) -> str:
-        """Its name."""
-        ...
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the links (l,)."""
-        ...
-
-    @property
-    def pos_w(self) -> Array:
-        """Origins, world [m] (n, l, 3)."""
-        ...
-
-    @property
-    def rot_w(self) -> Array:
-        """Rotation matrices (n, l, 3, 3)."""
-        ...
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Links:
@@ -99,24 +75,6 @@ class Links:
     end: Array  # and as it ends                                            (s, 12)
     meets: Array  # 1 where the cloth meets them, 0 where it does not       ()
     grids: LinkGrids = field(metadata={"static": True})
-
-
-def links_met(share: float, poses: LinkPoses | None) -> tuple[Array | None, LinkGrids | None]:
-    """Return where the shapes of a robot are at n moments (n, s, 12), and these; None if no gown meets them.
-
-    Args:
-        share: of the episodes in which one does [1].
-        poses: of the robot's links.
-
-    Raises:
-        SpecError: one does, and nothing is known of these links or of the robot.
-    """
-    if share <= 0.0:
-        return None, None
-    if poses is None:
-        raise SpecError("Dressing's gown can meet the robot (meets_robot) only where its links are sensed; they are not.")  # fmt: skip
-    grids = link_grids(poses.robot, poses.names)
-    return grids.frames(poses.pos_w, poses.rot_w), grids
 
 
 def read_off(local: Xyz, distances: Rows, layout: Layout) -> tuple[Array, Xyz, Array]:
@@ -141,14 +99,12 @@ def read_off(local: Xyz, distances: Rows, layout: Layout) -> tuple[Array, Xyz, A
         shares.append(place - cell)
         at = at + stride * cell.astype(jnp.int32)
     u, v, w = shares
-    sx, sy, _ = layout.strides
-    # along z, from the four points below to those above
-    low = [distances[0, at + dx + dy] for dx in (0, sx) for dy in (0, sy)]
-    rise = [
-        distances[0, at + dx + dy + 1] - x
-        for x, (dx, dy) in zip(low, [(dx, dy) for dx in (0, sx) for dy in (0, sy)], strict=True)
-    ]
-    a, b, c, d = (x + w * dz for x, dz in zip(low, rise, strict=True))
+    sx, sy, sz = layout.strides
+    below, above = (
+        [distances[0, at + dx + dy + dz] for dx in (0, sx) for dy in (0, sy)] for dz in (0, sz)
+    )
+    rise = [high - low for low, high in zip(below, above, strict=True)]
+    a, b, c, d = (x + w * dz for x, dz in zip(below, rise, strict=True))
     slopes = (
         (c - a) + v * ((d - c) - (b - a)),
         (b - a) + u * ((d - c) - (b - a)),
@@ -157,7 +113,7 @@ def read_off(local: Xyz, distances: Rows, layout: Layout) -> tuple[Array, Xyz, A
     return _bilinear((a, b, c, d), u, v), slopes, known
 
 
-def _bilinear(corners: tuple[Array, ...] | list[Array], u: Array, v: Array) -> Array:
+def _bilinear(corners: Sequence[Array], u: Array, v: Array) -> Array:
     """Between the corners (0, 0), (0, 1), (1, 0) and (1, 1) of a square."""
     a, b, c, d = corners
     low, high = a + v * (b - a), c + v * (d - c)

@@ -257,7 +257,7 @@ class Agents:
             for name, value in vars(agent.arch).items():
                 if name not in STARTING:
                     kept = list(value) if isinstance(value, tuple) else value
-                    agreed[f"{agent.name}.{name}"] = kept
+                    agreed[f"{agent.name}.{name}"] = kept or None  # older checkpoints do not tell
             start = agent.start if agent.frozen else None
             agreed[f"{agent.name}.frozen_policy"] = start and fingerprint(start)
         return agreed
@@ -283,7 +283,9 @@ def _make_agent(config: LearnConfig, env: Any, name: str) -> Agent:
         path = _starting_file(config, env, name, path)
         start = read_policy(path)
         check_policy(start, env, path, agent=name, other_people=True, other_settings=not frozen)
-        arch = replace(start.arch, value_hidden=arch.value_hidden)
+        arch = replace(
+            start.arch, value_hidden=arch.value_hidden, value_layer_norm=arch.value_layer_norm
+        )
     size = env.observation_size
     privileged = getattr(env, "privileged_obs_size", 0) if config.privileged_critic else 0
     central = getattr(config, "central_critic", False)

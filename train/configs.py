@@ -142,10 +142,9 @@ class LearnConfig(EnvFlags):
     """Sizes of the value function's hidden layers."""
     activation: Literal["tanh", "swish", "elu", "relu"] = "tanh"
     """Activation function of both networks."""
-    policy_layer_norm: bool = False
-    """Normalise the outputs of each of the policy's hidden layers to mean 0 and deviation 1, times a learned factor for each."""
-    value_layer_norm: bool = False
-    """The same in the value functions."""
+    value_layer_norm: bool = True
+    """Normalise the outputs of each hidden layer of the value function to mean 0 and deviation 1 (layer normalisation, with learned
+    scales and shifts)."""
     distribution: Literal["normal", "tanh_normal"] = "tanh_normal"
     """Action distribution: a tanh-squashed Gaussian whose standard deviation depends on the observation, or a Gaussian
     clipped to [-1, 1] whose standard deviation is a separate parameter ("normal", as in Assistive Gym)."""

@@ -27,6 +27,9 @@ ACTIVATIONS = {
 }
 
 
+_normalised: Any = partial(running_statistics.normalize, max_abs_value=OBSERVATION_CLIP)
+
+
 @dataclass(frozen=True)
 class Architecture:
     """Everything that must match for weights to be compatible: sizes, layers, activation and distribution."""
@@ -39,7 +42,6 @@ class Architecture:
     distribution: str
     init_noise_std: float = 1.0
     policy_head_gain: float = 1.0
-    policy_layer_norm: bool = False
     value_layer_norm: bool = False
 
 
@@ -57,64 +59,40 @@ def make_networks(arch: Architecture, value_size: int | None = None) -> ppo_netw
         return networks.replace(value_network=wider.value_network)
     # Brax makes a constant here, which must not belong to whichever function is being traced.
     with jax.ensure_compile_time_eval():
-        plain = ppo_networks.make_ppo_networks(
+        networks = ppo_networks.make_ppo_networks(
             arch.observation_size,
             arch.action_size,
-            preprocess_observations_fn=partial(
-                running_statistics.normalize, max_abs_value=OBSERVATION_CLIP
-            ),
+            preprocess_observations_fn=_normalised,
             policy_hidden_layer_sizes=arch.policy_hidden,
-            value_hidden_layer_sizes=arch.value_hidden,
             activation=ACTIVATIONS[arch.activation],
             distribution_type=arch.distribution,  # pyrefly: ignore
             noise_std_type="log",
             init_noise_std=arch.init_noise_std,
             policy_network_kernel_init_fn=jax.nn.initializers.orthogonal,
             policy_network_kernel_init_kwargs={"scale": HIDDEN_GAIN},
-            value_network_kernel_init_fn=jax.nn.initializers.orthogonal,
-            value_network_kernel_init_kwargs={"scale": HIDDEN_GAIN},
             mean_kernel_init_fn=jax.nn.initializers.orthogonal,
             mean_kernel_init_kwargs={"scale": arch.policy_head_gain},
         )
-        return _layer_normalised(plain, arch)
+    return networks.replace(value_network=_value_network(arch))  # pyrefly: ignore
 
 
-def _layer_normalised(plain: Any, arch: Architecture) -> ppo_networks.PPONetworks:
-    """The same networks with the layer normalisation that an architecture asks for, which Brax's PPO does not offer."""
-    normalize: Any = partial(running_statistics.normalize, max_abs_value=OBSERVATION_CLIP)
-    hidden = jax.nn.initializers.orthogonal(HIDDEN_GAIN)
-    if arch.policy_layer_norm:
-        policy = brax_networks.make_policy_network(
-            plain.parametric_action_distribution.param_size,
-            arch.observation_size,
-            preprocess_observations_fn=normalize,
-            hidden_layer_sizes=arch.policy_hidden,
-            activation=ACTIVATIONS[arch.activation],
-            kernel_init=hidden,
-            layer_norm=True,
-            distribution_type=arch.distribution,  # pyrefly: ignore
-            noise_std_type="log",
-            init_noise_std=arch.init_noise_std,
-            mean_kernel_init=jax.nn.initializers.orthogonal(arch.policy_head_gain),
-        )
-        plain = plain.replace(policy_network=policy)
-    if arch.value_layer_norm:
-        value = brax_networks.MLP(
-            layer_sizes=[*arch.value_hidden, 1],
-            activation=ACTIVATIONS[arch.activation],
-            kernel_init=hidden,
-            layer_norm=True,
-        )
+def _value_network(arch: Architecture) -> brax_networks.FeedForwardNetwork:
+    """Build the value network, whose layers Brax's PPO does not normalise."""
+    module = brax_networks.MLP(
+        layer_sizes=(*arch.value_hidden, 1),
+        activation=ACTIVATIONS[arch.activation],
+        kernel_init=jax.nn.initializers.orthogonal(HIDDEN_GAIN),
+        layer_norm=arch.value_layer_norm,
+    )
 
-        def apply(normalizer: Any, weights: Any, obs: jax.Array) -> jax.Array:
-            out: Any = value.apply(weights, normalize(obs, normalizer))
-            return jnp.squeeze(out, axis=-1)
+    def init(key: jax.Array) -> Any:
+        return module.init(key, jnp.zeros((1, arch.observation_size)))
 
-        network = brax_networks.FeedForwardNetwork(
-            init=lambda key: value.init(key, jnp.zeros((1, arch.observation_size))), apply=apply
-        )
-        plain = plain.replace(value_network=network)
-    return plain
+    def apply(normalizer: Any, weights: Any, obs: jax.Array) -> jax.Array:
+        value: Any = module.apply(weights, _normalised(obs, normalizer))
+        return jnp.squeeze(value, -1)
+
+    return brax_networks.FeedForwardNetwork(init=init, apply=apply)
 
 
 def init_policy(networks: ppo_networks.PPONetworks, arch: Architecture, key: jax.Array) -> Any:

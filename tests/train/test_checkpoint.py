@@ -148,6 +148,19 @@ def test_a_checkpoint_of_another_network_names_the_sizes(tmp_path, learner):
         load_newest(tmp_path, wider, COMPATIBILITY)
 
 
+def test_a_checkpoint_from_before_layer_normalisation_fits_a_run_without_it(tmp_path):
+    plain, normalised = (agents_of(replace(CONFIG, value_layer_norm=x)) for x in (False, True))
+    known = plain.compatibility()
+    before = {name: x for name, x in known.items() if not name.endswith("value_layer_norm")}
+    assert len(before) == len(known) - 1
+    learner = jax.jit(plain.init)(jax.random.PRNGKey(0))
+    path = save_checkpoint(tmp_path, learner, {"compatibility": before})
+    load_checkpoint(path, learner, known)
+    text = "robot.value_layer_norm is False, this run has True"
+    with pytest.raises(CheckpointMismatchError, match=text):
+        load_checkpoint(path, learner, normalised.compatibility())
+
+
 def test_a_write_that_fails_leaves_the_old_file_and_no_rubbish(tmp_path, monkeypatch):
     path = tmp_path / "x.npz"
     write_npz(path, {"a": np.zeros(2)}, {})

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax.training.acme.running_statistics import NestedMeanStd
 from brax.training.agents.ppo.losses import compute_gae as brax_gae
 
 from agym_jax.policy.networks import make_networks, sample_action
@@ -172,6 +173,27 @@ def test_the_first_loss_of_an_update_has_ratio_one(distribution):
     np.testing.assert_allclose(scalars["value_loss"], 0.5 * 9.0, rtol=1e-5)
     np.testing.assert_allclose(scalars["kl"], 0.0, atol=1e-5)
     np.testing.assert_allclose(loss, -0.5 + 0.5 * 4.5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("normalised", [True, False])
+def test_the_value_of_an_observation_is_what_its_layers_make_of_it(normalised):
+    config = PPOConfig(value_hidden=(8, 6), activation="relu", value_layer_norm=normalised)
+    networks = make_networks(architecture(config, 3, 2), 5)
+    rng = np.random.default_rng(0)
+    shapes = jax.eval_shape(networks.value_network.init, jax.random.PRNGKey(0))
+    weights = jax.tree.map(lambda x: rng.normal(size=x.shape).astype(np.float32), shapes)
+    mean, std, obs = rng.normal(size=5), rng.uniform(0.5, 2, 5), rng.normal(size=(4, 5))
+    x, layers = (obs - mean) / std, weights["params"]
+    for i in range(2):
+        x = np.maximum(x @ layers[f"hidden_{i}"]["kernel"] + layers[f"hidden_{i}"]["bias"], 0)
+        if normalised:
+            x = (x - x.mean(-1, keepdims=True)) / np.sqrt(x.var(-1, keepdims=True) + 1e-6)
+            x = x * layers[f"LayerNorm_{i}"]["scale"] + layers[f"LayerNorm_{i}"]["bias"]
+    wanted = (x @ layers["hidden_2"]["kernel"] + layers["hidden_2"]["bias"])[:, 0]
+    statistics = NestedMeanStd(mean=jnp.asarray(mean), std=jnp.asarray(std))
+    value = networks.value_network.apply(statistics, weights, jnp.asarray(obs))
+    np.testing.assert_allclose(value, wanted, rtol=1e-4, atol=1e-4)
+    assert len(layers) == (5 if normalised else 3)
 
 
 def test_a_new_agent_has_strong_types_so_that_a_restored_one_needs_no_new_compilation():

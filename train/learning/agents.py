@@ -257,7 +257,7 @@ class Agents:
             for name, value in vars(agent.arch).items():
                 if name not in STARTING:
                     kept = list(value) if isinstance(value, tuple) else value
-                    agreed[f"{agent.name}.{name}"] = kept or None  # older checkpoints do not tell
+                    agreed[f"{agent.name}.{name}"] = kept
             start = agent.start if agent.frozen else None
             agreed[f"{agent.name}.frozen_policy"] = start and fingerprint(start)
         return agreed

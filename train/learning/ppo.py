@@ -136,7 +136,6 @@ def architecture(config: LearnConfig, observation_size: int, action_size: int) -
         distribution=config.distribution,
         init_noise_std=config.init_noise_std,
         policy_head_gain=config.policy_head_gain,
-        policy_layer_norm=config.policy_layer_norm,
         value_layer_norm=config.value_layer_norm,
     )
 

@@ -28,6 +28,8 @@ from ..errors import CheckpointMismatchError, CheckpointWarning
 
 FORMAT = 2
 KEEP = 3
+BEFORE = {"value_layer_norm": False}
+"""Options of networks that the package did not always have, and what they were before."""
 UNIMPORTANT = (
     "save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts", "logger", "num_candidates", "candidates_until",
 )  # fmt: skip
@@ -145,9 +147,9 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
             f"with --fresh (which moves the old run aside)."
         )
     differ = [
-        f"{name} is {theirs.get(name)!r}, this run has {value!r}"
+        f"{name} is {found!r}, this run has {value!r}"
         for name, value in compatibility.items()
-        if name not in ("changes", "lanes") and theirs.get(name) != value
+        if name not in ("changes", "lanes") and (found := _told(theirs, name)) != value
     ]
     if theirs.get("lanes") != compatibility.get("lanes"):
         trained, here = (_trainings(x.get("lanes")) for x in (theirs, compatibility))
@@ -160,6 +162,11 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
         return Checkpoint(path, arrays_to_tree(arrays, template), meta)
     except CheckpointMismatchError as error:
         raise CheckpointMismatchError(f"{path} does not fit: {error}. {advice}") from None
+
+
+def _told(compatibility: Mapping[str, Any], name: str) -> Any:
+    """What a checkpoint says of a name; one from before the package had an option, that it was not used."""
+    return compatibility.get(name, BEFORE.get(name.rpartition(".")[2]))
 
 
 def _trainings(lanes: Sequence[str] | None) -> str:

@@ -68,6 +68,14 @@ def test_scores_of_seeds():
     assert "interquartile mean of success: 62.5%" in found.table()
 
 
+def test_episodes_in_which_no_seed_succeeds_are_told_from_those_in_which_some_do():
+    found = scores([1, 1, 0, 0], [1, 0, 1, 0], [1, 0, 0, 0])
+    summary = found.summary()
+    assert summary["success_of_some"] == 0.75 and summary["success_of_all"] == 0.25
+    assert "some seed succeeds in 75.0%, every seed in 25.0%" in found.table()
+    assert "some seed" not in scores([1, 0]).table()  # the same as its success
+
+
 def test_seeds_can_be_ranked_by_gentle_success():
     found = scores([1, 1, 1, 1], [1, 1, 1, 0])
     harsh = [np.array([0.0, 5.0, 5.0, 0.0]), np.zeros(4)]

@@ -40,6 +40,16 @@ class SeedScores:
         return np.stack([np.asarray(x.successes, float) for x in self.results.values()])
 
     @property
+    def of_some(self) -> float:
+        """Share of the episodes in which at least one seed succeeds: the others may be too hard for any policy."""
+        return float(self.successes.max(0).mean())
+
+    @property
+    def of_all(self) -> float:
+        """Share of the episodes in which every seed succeeds."""
+        return float(self.successes.min(0).mean())
+
+    @property
     def returns(self) -> np.ndarray:
         """Returns (seeds, episodes)."""
         return np.stack([x.returns for x in self.results.values()])
@@ -88,6 +98,10 @@ class SeedScores:
             lines.append(
                 "  interquartile mean of {}: {}   95 % interval {} to {}".format(name, *shown)
             )
+        if len(self.results) > 1:
+            lines.append(
+                f"  of the same episodes, some seed succeeds in {self.of_some:.1%}, every seed in {self.of_all:.1%}"
+            )
         return "\n".join(lines)
 
     def summary(self) -> dict[str, Any]:
@@ -106,6 +120,8 @@ class SeedScores:
             "episodes": first.episodes,
             "seeds": list(self.results),
             "success_of_seeds": [x.success for x in self.results.values()],
+            "success_of_some": self.of_some,
+            "success_of_all": self.of_all,
             **gentle,
             **groups,
             **outcomes,

@@ -35,7 +35,7 @@ CONFIG = CoopConfig(
     num_envs=32,
     num_mini_batch=4,
     policy_hidden=(32,),
-    value_hidden=(32,),
+    value_hidden=(64, 64),
     lr=2e-3,
     log_interval=8,
 )

@@ -26,6 +26,7 @@ SETTINGS = {
     "log_interval": 1,
     "save_dir": None,
     "recompute_advantages": False,
+    "value_layer_norm": False,
     "clip_value_loss": True,
 }
 NORMAL = {"distribution": "normal"}

@@ -32,7 +32,7 @@ CONFIG = PPOConfig(
     num_mini_batch=4,
     distribution="tanh_normal",
     policy_hidden=(32,),
-    value_hidden=(32,),
+    value_hidden=(64, 64),
     lr=1e-3,
     log_interval=8,
 )

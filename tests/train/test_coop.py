@@ -243,12 +243,12 @@ def test_restored_learners_learn_on_exactly_as_those_that_were_never_saved(tmp_p
 @pytest.mark.slow
 def test_a_killed_run_of_two_goes_on_from_its_last_checkpoint(tmp_path):
     config = dataclasses.replace(
-        CONFIG, save_dir=str(tmp_path), log_interval=1, save_interval=2, num_env_steps=50_000
+        CONFIG, save_dir=str(tmp_path), log_interval=1, save_interval=2, num_env_steps=60_000
     )
     kill_in_training(FakePairEnv(), "coop", config)
     progress, said = listening()
     result = coop.train(FakePairEnv(), config, progress)
-    check_continued(result, said, config, updates=79)
+    check_continued(result, said, config, updates=94)
     assert result.last("success") > 0.9
 
 

@@ -38,7 +38,7 @@ SETTINGS = {
     "num_mini_batch": 4,
     "policy_hidden": (16,),
     "value_hidden": (16,),
-    "value_layer_norm": False,  # with it, so small a value function does not find out that pressing pays
+    "value_layer_norm": False,  # with it, four seeds end with 20 N, as they begin; without it, with 22 to 33
     "distribution": "normal",
     "init_noise_std": 0.3,
     "lr": 3e-3,

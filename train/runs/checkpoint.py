@@ -23,13 +23,12 @@ import numpy as np
 from agym_jax.changes import describe
 from agym_jax.data.npz import read_npz, write_npz
 from agym_jax.errors import DamagedFileError
+from agym_jax.policy.networks import Architecture
 
 from ..errors import CheckpointMismatchError, CheckpointWarning
 
 FORMAT = 2
 KEEP = 3
-BEFORE = {"value_layer_norm": False}
-"""Options of networks that the package did not always have, and what they were before."""
 UNIMPORTANT = (
     "save_dir", "fresh", "log_interval", "save_interval", "devices", "hosts", "logger", "num_candidates", "candidates_until",
 )  # fmt: skip
@@ -165,8 +164,8 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
 
 
 def _told(compatibility: Mapping[str, Any], name: str) -> Any:
-    """What a checkpoint says of a name; one from before the package had an option, that it was not used."""
-    return compatibility.get(name, BEFORE.get(name.rpartition(".")[2]))
+    """What a checkpoint says of a name; an option of networks that came after it is at the default of ``Architecture``."""
+    return compatibility.get(name, getattr(Architecture, name.rpartition(".")[2], None))
 
 
 def _trainings(lanes: Sequence[str] | None) -> str:

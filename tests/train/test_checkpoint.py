@@ -156,9 +156,13 @@ def test_a_checkpoint_from_before_layer_normalisation_fits_a_run_without_it(tmp_
     learner = jax.jit(plain.init)(jax.random.PRNGKey(0))
     path = save_checkpoint(tmp_path, learner, {"compatibility": before})
     load_checkpoint(path, learner, known)
-    text = "robot.value_layer_norm is False, this run has True"
+    text = r"robot.value_layer_norm is False, this run has True\. Its networks were made with --no-value-layer-norm\. Continue"
     with pytest.raises(CheckpointMismatchError, match=text):
         load_checkpoint(path, learner, normalised.compatibility())
+    wider = agents_of(replace(CONFIG, value_layer_norm=False, value_hidden=(32, 16)))
+    sizes = " ".join(map(str, CONFIG.value_hidden))
+    with pytest.raises(CheckpointMismatchError, match=rf"made with --value-hidden {sizes}\. Cont"):
+        load_checkpoint(path, learner, wider.compatibility())
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_no_rubbish(tmp_path, monkeypatch):

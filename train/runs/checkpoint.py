@@ -25,6 +25,7 @@ from agym_jax.data.npz import read_npz, write_npz
 from agym_jax.errors import DamagedFileError
 from agym_jax.policy.networks import Architecture
 
+from ..configs import LearnConfig
 from ..errors import CheckpointMismatchError, CheckpointWarning
 
 FORMAT = 2
@@ -145,11 +146,14 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
             f"with agym-jax {theirs.get('trainer')}, choose another --save-dir, or start over "
             f"with --fresh (which moves the old run aside)."
         )
-    differ = [
-        f"{name} is {found!r}, this run has {value!r}"
+    found = {name: _told(theirs, name) for name in compatibility}
+    others = [
+        name
         for name, value in compatibility.items()
-        if name not in ("changes", "lanes") and (found := _told(theirs, name)) != value
+        if name not in ("changes", "lanes") and found[name] != value
     ]
+    differ = [f"{name} is {found[name]!r}, this run has {compatibility[name]!r}" for name in others]
+    advice = _network_flags({name: found[name] for name in others}) + advice
     if theirs.get("lanes") != compatibility.get("lanes"):
         trained, here = (_trainings(x.get("lanes")) for x in (theirs, compatibility))
         differ.append(f"it is of {trained}, this run of {here}")
@@ -166,6 +170,21 @@ def load_checkpoint(path: Path, template: Any, compatibility: Mapping[str, Any])
 def _told(compatibility: Mapping[str, Any], name: str) -> Any:
     """What a checkpoint says of a name; an option of networks that came after it is at the default of ``Architecture``."""
     return compatibility.get(name, getattr(Architecture, name.rpartition(".")[2], None))
+
+
+def _network_flags(found: Mapping[str, Any]) -> str:
+    """Say which flags make the networks of a checkpoint, of what differs ("robot.value_hidden" -> sizes); "" if none does."""
+    flags = []
+    for name, value in found.items():
+        agent, _, setting = name.rpartition(".")
+        if agent and hasattr(LearnConfig, setting):
+            option = setting.replace("_", "-")
+            if isinstance(value, bool):
+                flags.append(f"--{option}" if value else f"--no-{option}")
+            else:
+                words = value if isinstance(value, list) else [value]
+                flags.append(f"--{option} {' '.join(map(str, words))}")
+    return f"Its networks were made with {' '.join(dict.fromkeys(flags))}. " if flags else ""
 
 
 def _trainings(lanes: Sequence[str] | None) -> str:

@@ -4,8 +4,6 @@ One class serves every task, robot and person. ``reset`` and ``step`` are pure f
 ``jax.vmap`` them, or use ``agym_jax.wrappers.vectorize``, which also resets automatically. The physics is one of
 the implementations in ``sim.physics``; where JAX cannot trace it, ``sim.native_rows`` runs the stages around it.
 
-DEVIATION(action-penalty): actions are clipped to [-1, 1] before they are penalised (AG penalises the
-raw action).
 DEVIATION(quaternion-order): observed quaternions are wxyz; AG's are xyzw. Their sign at the start is AG's (of 688
 recorded there none has the other), and then continuous; AG's jumps during an episode where w passes 1/2.
 DEVIATION(one-turn): joints that turn freely begin in [-pi, pi) and are observed without a jump from there. AG's inverse
@@ -210,7 +208,8 @@ class AssistiveEnv:
 
         Args:
             state: state of one environment.
-            action: clipped to [-1, 1]; the robot's joints, then those of the person if active (n_action,).
+            action: the robot's joints, then those of the person if active (n_action,). Beyond [-1, 1] they move as at the bound, but
+                the penalty of the action goes on growing, as in AG.
 
         Raises:
             ActionError: if the shape is wrong, or (outside jit) an entry is not finite.

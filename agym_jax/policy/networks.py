@@ -120,14 +120,14 @@ def sample_action(
         key: random key.
 
     Returns:
-        The action in [-1, 1] (..., action_size), the raw sample from which it was computed (same shape), and the
-        log-probability of the raw sample (...).
+        The action (..., action_size), the raw sample from which it was computed (same shape), and the
+        log-probability of the raw sample (...). An action of "normal" may lie beyond [-1, 1], where environments penalise it, but do
+        not move farther.
     """
     distribution = networks.parametric_action_distribution
     logits = networks.policy_network.apply(normalizer, policy, obs)
     raw = distribution.sample_no_postprocessing(logits, key)
-    action = jnp.clip(distribution.postprocess(raw), -1.0, 1.0)
-    return action, raw, distribution.log_prob(logits, raw)
+    return distribution.postprocess(raw), raw, distribution.log_prob(logits, raw)
 
 
 @full_precision

@@ -92,7 +92,7 @@ class Policy:
             return mode_action(networks, normalizer, self.weights, obs)
         if key is None:
             raise ValueError("A sampled action needs a key: policy(obs, key, deterministic=False).")
-        return sample_action(networks, normalizer, self.weights, obs, key)[0]
+        return jnp.clip(sample_action(networks, normalizer, self.weights, obs, key)[0], -1.0, 1.0)
 
 
 def _named(tree: Mapping[str, Any], prefix: str) -> dict[str, Any]:

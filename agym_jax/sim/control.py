@@ -42,7 +42,7 @@ LIKE_RIGHT = {
 class ControlTargets:
     """What one control step asks of the joints."""
 
-    action: Array  # clipped to [-1, 1], as sent                              (n_action,)
+    action: Array  # as asked for, not clipped, which is what AG penalises    (n_action,)
     goal: Array  # of the robot's joints, within their limits [rad]           (n_arm,)
     load: Array  # on them: torque of what the tool weighs [N m]              (n_arm,)
     target: Array  # of the muscles, tremor included [rad]                    (n_person,)
@@ -156,11 +156,13 @@ class Controller:
         Args:
             episode: of the environment.
             data: of the physics, kinematics up to date.
-            action: robot's joints, then the active person's; NaN and infinity act as 0 (n_action,).
+            action: robot's joints, then the active person's; joints move as if it were clipped to [-1, 1], NaN and infinity act as 0
+                (n_action,).
             load: weight of the first tool [N] () and where it acts, world [m] (3,); None for nothing.
         """
         qpos, n_arm = data.qpos, len(self.index.robot_qpos)
-        action = jnp.clip(jnp.where(jnp.isfinite(action), action, 0.0), -1.0, 1.0)
+        asked = jnp.where(jnp.isfinite(action), action, 0.0)
+        action = jnp.clip(asked, -1.0, 1.0)
         arrived, sent = delayed(episode.robot, episode.sent, action[:n_arm])
         goal = self.robot_goal(qpos[self.index.robot_qpos], arrived)
         q = qpos[self.index.human_qpos]
@@ -168,7 +170,7 @@ class Controller:
         target, hold = self.human_target(episode, q, action[n_arm:])
         strength = None if episode.robot is None else episode.robot.strength
         bound = None if strength is None else self.control.max_torque * strength
-        return ControlTargets(action, goal, torque, target, hold, sent, bound)
+        return ControlTargets(asked, goal, torque, target, hold, sent, bound)
 
     def load_torque(self, data: Any, weight: Any, point: Any, xp: Any = jnp) -> Any:
         """Torque of a weight on the first tool about the robot's joints [N m] (n_arm,).

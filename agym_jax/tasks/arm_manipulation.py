@@ -181,7 +181,7 @@ class ArmManipulation:
     def rewards(
         self, state: ArmState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Return the weighted reward terms. AG arm_manipulation.py step; the action is clipped."""
+        """Return the weighted reward terms. AG arm_manipulation.py step."""
         c, s = self.config, sensed
         _, elbow, hand = (s.link_pos_w[name] for name in RIGHT_ARM_LINKS)
         goals = (elbow, hand)[: len(s.tools)]

@@ -211,7 +211,7 @@ class BedBathing:
     def rewards(
         self, state: BathState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Return the weighted reward terms. AG bed_bathing.py step; the action is clipped (deviation action-penalty)."""
+        """Return the weighted reward terms. AG bed_bathing.py step."""
         c = self.config
         return {
             "distance": -c.distance * sensed.tool.gap,

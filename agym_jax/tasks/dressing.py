@@ -318,7 +318,7 @@ class Dressing:
     def rewards(
         self, state: DressState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Return the weighted reward terms. AG dressing.py step; the action is clipped (deviation action-penalty)."""
+        """Return the weighted reward terms. AG dressing.py step."""
         c = self.config
         return {
             "dressing": c.dressing * state.dressed,

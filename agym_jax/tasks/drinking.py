@@ -198,7 +198,7 @@ class Drinking:
     def rewards(
         self, state: DrinkState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Return the weighted reward terms. AG drinking.py step; the action is clipped (deviation action-penalty)."""
+        """Return the weighted reward terms. AG drinking.py step."""
         c, tool = self.config, sensed.tool
         top = tool.pos_w + TOP * axis(tool.quat_w)
         distance = jnp.linalg.norm(state.mouth_pos_w - top)

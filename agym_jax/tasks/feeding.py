@@ -175,7 +175,7 @@ class Feeding:
     def rewards(
         self, state: FeedState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Return the weighted reward terms. AG feeding.py step; the action is clipped (deviation action-penalty)."""
+        """Return the weighted reward terms. AG feeding.py step."""
         c = self.config
         distance = jnp.linalg.norm(state.mouth_pos_w - sensed.tool.pos_w)
         return {

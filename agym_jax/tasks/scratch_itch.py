@@ -202,7 +202,7 @@ class ScratchItch:
     def rewards(
         self, state: ItchState, events: dict[str, Array], sensed: Sensed, action: Array
     ) -> dict[str, Array]:
-        """Return the weighted reward terms. AG scratch_itch.py step; the action is clipped (deviation action-penalty)."""
+        """Return the weighted reward terms. AG scratch_itch.py step."""
         c = self.config
         distance = jnp.linalg.norm(state.target_pos_w - sensed.tool.pos_w)
         return {

@@ -261,10 +261,13 @@ def test_robot_moves_towards_the_joint_target(batch: CompiledBatch, rollout: Rol
 
 
 @jit
-def test_actions_beyond_the_box_act_as_its_border(batch: CompiledBatch, rollout: Rollout):
+def test_actions_beyond_the_box_act_as_its_border_and_are_penalised_as_asked_for(
+    batch: CompiledBatch, rollout: Rollout
+):
     one, many = (batch.step(rollout.first, np.full((BATCH, 7), x, np.float32)) for x in (1.0, 7.0))
     np.testing.assert_array_equal(one.obs, many.obs)
-    np.testing.assert_array_equal(one.reward, many.reward)  # deviation action-penalty
+    # AG scratch_itch.py step: np.sum(np.square(action)) of the action before take_step clips it, times config.ini action_weight
+    np.testing.assert_allclose(one.reward - many.reward, 0.01 * 7 * (7.0**2 - 1.0), rtol=1e-4)
 
 
 @jit

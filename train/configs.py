@@ -148,6 +148,9 @@ class LearnConfig(EnvFlags):
     distribution: Literal["normal", "tanh_normal"] = "tanh_normal"
     """Action distribution: a tanh-squashed Gaussian whose standard deviation depends on the observation, or a Gaussian
     clipped to [-1, 1] whose standard deviation is a separate parameter ("normal", as in Assistive Gym)."""
+    clip_actions: bool = True
+    """Clip sampled actions of "normal" to [-1, 1] before the environments take them. Assistive Gym's trainer does not, and its reward
+    penalises what lies beyond: policies then act more smoothly, but succeed less often in ArmManipulation."""
     init_noise_std: float = 1.0
     """Initial standard deviation of "normal"."""
     noise_floor: float = 0.0

@@ -46,9 +46,10 @@ _MANY_STROKES: dict[str, Any] = (
 )
 _STEADY_STROKES: dict[str, Any] = _MANY_STROKES | {"lr": 2.5e-4, "entropy_coef": 0.012}
 # With the noise of the end, more people are helped than by the mode, unless it falls in the second half.
-_SETTLED_STROKES: dict[str, Any] = (
-    _STEADY_STROKES | {"noise_ceiling": 0.3, "noise_ceiling_from": 0.5}
-)
+_SETTLED_STROKES: dict[str, Any] = _STEADY_STROKES | {
+    "noise_ceiling": 0.3,
+    "noise_ceiling_from": 0.5,
+}
 
 # Without the entropy bonus the tool learns to press on the arm instead of getting beneath it.
 _LIFT: dict[str, Any] = _TOUCH | {

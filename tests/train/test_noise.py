@@ -9,11 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fake_env import FakeEnv
 
 from agym_jax.policy.networks import Architecture, init_policy, make_networks
 from train.configs import PPOConfig, config_for
 from train.continued import NOISE_BOUNDS
 from train.errors import ConfigError
+from train.learning.agents import Agents
 from train.learning.noise import keep_noise, log_ceiling, log_floor
 from train.task_changes import TASK_CHANGES
 
@@ -81,3 +83,13 @@ def test_a_training_that_starts_from_a_policy_has_no_bounds_of_its_own():
 def test_a_deviation_that_depends_on_the_observation_has_no_bounds(name):
     with pytest.raises(ConfigError, match=rf"{name} .* --distribution normal; tanh_normal"):
         PPOConfig(**{name: 0.1}, distribution="tanh_normal")
+
+
+@pytest.mark.parametrize("clips", [True, False])
+def test_the_environment_takes_what_was_sampled_or_its_nearest_action(clips):
+    config = PPOConfig(distribution="normal", init_noise_std=4.0, clip_actions=clips)
+    agents = Agents(config, FakeEnv(), ("robot",))
+    learner = agents.init(jax.random.PRNGKey(0))
+    action, raw, _ = agents.act(learner, jnp.zeros((64, 4)), jax.random.PRNGKey(1))
+    assert np.abs(raw).max() > 4
+    np.testing.assert_array_equal(action, np.clip(raw, -1, 1) if clips else raw)

@@ -3,6 +3,13 @@
 Several agents share the environments, the random key's tree and the reward, nothing else: each has a policy, value
 function, optimiser and statistics of its own. A policy reads its own columns of the observation. The value
 functions read, in training, what is privileged besides, and with a central critic the others' columns too.
+
+DEVIATION(clipped-actions): sampled actions are clipped to [-1, 1] before the environments take them, so that the penalty of an action
+ends there in training; AG's trainer passes them on as they are (``--no-clip-actions``). Where the entropy bonus makes the noise
+large, policies learn to act at the bounds: after 8 M steps of ArmManipulation without clipping, the interquartile mean of the return
+of eight seeds is -129 instead of -150 (Baxter) and -111 instead of -127 (Jaco), 7 % of the entries of actions are at the bounds, in
+the policies that ship 65 to 96 %, but the interquartile mean of success is 61 instead of 67 % and 34 instead of 53 %, and the
+chosen seeds succeed in 1 and 4 of 20 episodes of AG (those that ship in 25 and 36 of 40).
 """
 
 from __future__ import annotations
@@ -173,6 +180,7 @@ class Agents:
                 log_prob = jnp.zeros(own.shape[:-1])
             else:
                 action, raw, log_prob = sample_action(*known, key_agent)
+                action = jnp.clip(action, -1.0, 1.0) if self.config.clip_actions else action
             actions.append(action)
             raws.append(raw)
             log_probs[agent.name] = log_prob

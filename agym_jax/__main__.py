@@ -194,7 +194,7 @@ def show_observations(argv: Sequence[str] | None = None, prog: str = "agym-jax o
         joints = acting_joints(recipe.robot, task, agent)
         print(f"{agent.title()}: {observe.size(record)} columns\n\n{observe.table(record)}\n")
         print(
-            f"{agent.title()}: {len(joints)} actions, clipped to [-1, 1], of {', '.join(joints)}. "
+            f"{agent.title()}: {len(joints)} actions in [-1, 1], of {', '.join(joints)}. "
             f"{action_meaning(task, agent)}\n"
         )
     return 0

@@ -120,7 +120,7 @@ def test_observe_prints_every_column(capsys: pytest.CaptureFixture):
             assert f"`{name}`" in out
     assert "| 29 | `tool_force` | N |" in out and "| 32 | `force_on_human` |" in out
     assert "Robot: 30 columns" in out and "Human: 34 columns" in out
-    assert "Robot: 7 actions, clipped to [-1, 1], of j2s7s300_joint_1" in out
+    assert "Robot: 7 actions in [-1, 1], of j2s7s300_joint_1" in out
     assert "Human: 10 actions" in out and "plus 0.25 rad times the action" in out
     assert cli.main(["observe", "ScratchItchJaco-v0"]) == 0
     assert "Human" not in capsys.readouterr().out

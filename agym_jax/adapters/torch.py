@@ -145,8 +145,8 @@ class TorchVectorEnv:
         """Advance every environment by one control step of 0.1 s.
 
         Args:
-            actions: clipped to [-1, 1] (num_envs, n_action). On a GPU they are not checked for finite values: NaN and
-                infinity act as 0.
+            actions: (num_envs, n_action). Beyond [-1, 1] joints move as at the bound, but the penalty goes on growing. On a GPU actions
+                are not checked for finite values: NaN and infinity act as 0.
 
         Returns:
             Observations (num_envs, n_obs), rewards (num_envs,), whether episodes terminated (none does), and whether they

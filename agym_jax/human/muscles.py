@@ -64,6 +64,7 @@ class Muscles(NamedTuple):
     bound: Any  # of the torque [N m]                                         ()
     damping: Any  # of the joints [N m s/rad]                                 ()
     passive: Any  # 1 where ligaments bear the load                           (n,)
+    limited: Any  # 1 if the limits of an arm depend on its pose              ()
 
 
 def as_bullet(q: Any, v: Any, limits: Any, time_step: float, xp: Any = jnp) -> tuple[Any, Any]:
@@ -90,15 +91,21 @@ def as_bullet(q: Any, v: Any, limits: Any, time_step: float, xp: Any = jnp) -> t
 
 
 def muscles_of(
-    spec: HumanSpec, strength: jax.Array, moving: jax.Array, at_joints: Any = 0.0
+    spec: HumanSpec,
+    strength: jax.Array,
+    moving: jax.Array,
+    at_joints: Any = 0.0,
+    active: bool = False,
 ) -> Muscles:
-    """A person's muscles.
+    """A person's muscles, and what besides acts on the joints like them.
 
     Args:
         spec: rates and torque bound.
         strength: of the person ().
         moving: from ``is_moving`` ().
-        at_joints: 1 for a person with AG's masses, whose girdle is borne by muscles alone ().
+        at_joints: 1 for a person with AG's masses, whose girdle is borne by muscles alone, and whose arms have limits that depend on
+            their pose only if the person is active ().
+        active: whether the person is.
     """
     holds = 1.0 if spec.passive_mode == "hold" else 0.0
     seated = not spec.postures  # in bed the mattress bears the arm
@@ -108,4 +115,5 @@ def muscles_of(
         damping=damping(spec, moving, at_joints),
         passive=(1.0 - at_joints)
         * np.array([seated and "clavicle" in name for name in spec.joints], np.float32),
+        limited=jnp.ones_like(strength) if active else 1.0 - at_joints * jnp.ones_like(strength),
     )

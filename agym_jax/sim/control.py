@@ -1,7 +1,10 @@
 """Actions as joint targets and muscle torques: the first part of a control step, whatever the physics.
 
 DEVIATION(arm-limits-always): the pose-dependent limits of the arm hold for the still person too, whom
-the robot may push; AG judges them for the active person only.
+the robot may push; AG judges them for the active person only, as here where people have AG's masses. In
+twelve episodes of ArmManipulationBaxter recorded in AG (with AG's masses and motors; 27 states in which
+the robot touches the person alone), 0.5 s of recorded actions end 0.17 rad from there with these limits
+(median of the joint that is farthest off) and 0.11 without.
 """
 
 from __future__ import annotations
@@ -225,7 +228,7 @@ class Controller:
     def muscles(self, human: Human) -> muscles.Muscles:
         """How this person pulls."""
         moving = muscles.is_moving(human.tremor, self.active)
-        return muscles.muscles_of(self.spec, human.strength, moving, human.at_joints)
+        return muscles.muscles_of(self.spec, human.strength, moving, human.at_joints, self.active)
 
     def aim(self, goal: Any, bound: Any = None) -> Aim:
         """What the robot's motors are to do.

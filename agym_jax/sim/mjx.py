@@ -149,7 +149,7 @@ class MjxPhysics:
                 q, v = data.qpos[index.human_qpos], data.qvel[index.human_dof]
                 load = data.qfrc_bias[index.human_dof]
                 besides = self.controller.support(muscles.passive, model, data)
-                besides += self.controller.limit_torque(q, v)
+                besides += muscles.limited * self.controller.limit_torque(q, v)
                 pull = human.drive(human.inertia(inertia), load - besides, q, v, pulls)
                 data, solref = _write(data, solref, index.human_dof, pull, besides)
             data = mjx.step(model.replace(dof_solref=solref), data)

@@ -165,7 +165,7 @@ class DriveProgram:
         if len(index.human_dof):
             q, v = qpos[:, index.human_qpos], qvel[:, index.human_dof]
             load = bias[:, index.human_dof]
-            besides = controller.limit_torques(q, v)
+            besides = muscles.limited[:, None] * controller.limit_torques(q, v)
             load = (1.0 - muscles.passive) * load - besides  # the slot adds what bears it
             pull = drive_human(inertia, load, q, v, targets.target, muscles)
             drives.append((index.human_dof, pull, besides))

@@ -138,6 +138,13 @@ def test_limp_arms_have_no_muscles_and_frozen_people_no_motion():
             np.testing.assert_allclose(a, b)
 
 
+def test_limits_depend_on_the_pose_of_an_arm_but_for_still_people_with_ags_masses():
+    strength, still = jnp.float32(1.0), jnp.bool_(False)
+    for at_joints, active, limited in ((0, False, 1), (0, True, 1), (1, False, 0), (1, True, 1)):
+        mine = muscles.muscles_of(SPEC, strength, still, jnp.float32(at_joints), active)
+        assert mine.limited.shape == () and mine.limited == limited
+
+
 def test_mattress_bears_the_arm_of_who_lies_down():
     lying = dataclasses.replace(SPEC, postures="BedBathing", passive_mode="limp")
     np.testing.assert_array_equal(_muscles(spec=lying).passive, 0.0)

@@ -249,7 +249,9 @@ def test_a_killed_run_of_two_goes_on_from_its_last_checkpoint(tmp_path):
     progress, said = listening()
     result = coop.train(FakePairEnv(), config, progress)
     check_continued(result, said, config, updates=94)
-    assert result.last("success") > 0.9
+    success = [row["success"] for row in result.curve if row["success"] is not None]
+    assert np.mean(success[:5]) < 0.3  # few episodes end in one update, so that one row says little
+    assert np.mean(success[-10:]) > 0.9
 
 
 @pytest.mark.parametrize(("frozen", "learns"), [("robot", "human"), ("human", "robot")])

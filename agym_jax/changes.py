@@ -113,8 +113,12 @@ def flags_of(changes: Changes) -> str:
     """Return the command-line flags that make these changes."""
     words = []
     for name, value in changes.items():
+        scope, dot, field = name.replace("_", "-").rpartition(".")
+        if isinstance(value, bool):
+            words.append(f"--{scope}{dot}{'' if value else 'no-'}{field}")
+            continue
         values = value if isinstance(value, list) else [value]
-        words.append(" ".join([f"--{name.replace('_', '-')}", *map(str, values)]))
+        words.append(" ".join([f"--{scope}{dot}{field}", *map(str, values)]))
     return " ".join(words)
 
 

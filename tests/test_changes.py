@@ -203,3 +203,7 @@ def test_gymnasium_takes_the_same(changed):
     assert pair.core.changes == changed.changes
     envs: Any = gymnasium.make_vec(NAME, num_envs=2, **OPTIONS)
     assert envs.unwrapped.core.changes == changed.changes
+
+
+def test_what_is_on_or_off_becomes_a_flag_without_a_value():
+    assert flags_of({"a_b": False, "c.d_e": True, "c.f": False}) == "--no-a-b --c.d-e --c.no-f"

@@ -69,7 +69,7 @@ TASK_CHANGES: dict[str, dict[str, Any]] = {
     # eight seeds: interquartile mean 40 % of the people with 10 M steps, instead of 7 % with 12 M; with the ceiling, and value functions of today,
     # 67.5 instead of 51 % (9 M)
     "BedBathingPR2": _SETTLED_STROKES,
-    # eight seeds, 9 M steps: interquartile mean 86 % of the people with the ceiling, 67 without it
+    # eight seeds, 9 M steps, actions not clipped: interquartile mean 86 % of the people with the ceiling, 67 without it; not tried with clipping
     "BedBathingSawyer": _SETTLED_STROKES,
     # three seeds, 8 M steps, while training: 58 % instead of 45; eight seeds with 20 M steps: 58 % of the people instead of 34 with 8 M; its
     # pair was not trained so

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import agym_jax
+from agym_jax.human import limits
 from agym_jax.human.population import Population
 from agym_jax.robots import ROBOTS
 from agym_jax.sim.control import Controller
@@ -117,3 +118,21 @@ def test_jax_lands_as_numpy_does():
         changed += not np.array_equal(ours, v)
         arm.after_step(data)
     assert changed > 0
+
+
+@pytest.mark.parametrize(("masses", "limited"), [("ag", False), ("body", True)])
+@pytest.mark.slow
+def test_limits_of_the_pose_push_the_arms_of_still_people_but_not_with_ags_masses(
+    masses: str, limited: bool, monkeypatch: pytest.MonkeyPatch
+):
+    def moved() -> np.ndarray:
+        env = agym_jax.make(
+            "ArmManipulationJaco-v0", impl="native", humans=Population(masses=masses)
+        )
+        state = env.step(env.reset(jax.random.PRNGKey(0)), np.zeros(7, np.float32))
+        return np.asarray(state.data.qpos)[env.scene.index.human_qpos]
+
+    usual = moved()
+    monkeypatch.setattr(limits, "reachability", lambda *_: jnp.full(1, -1.0))
+    monkeypatch.setattr(limits, "limit_torque", lambda *_: jnp.full(4, 5.0))
+    assert (np.abs(moved() - usual).max() > 0.01) == limited

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from agym_jax.changes import describe
+from agym_jax.changes import describe, flags_of
 from agym_jax.data.npz import read_npz, write_npz
 from agym_jax.errors import DamagedFileError
 from agym_jax.policy.networks import Architecture
@@ -174,17 +174,11 @@ def _told(compatibility: Mapping[str, Any], name: str) -> Any:
 
 def _network_flags(found: Mapping[str, Any]) -> str:
     """Say which flags make the networks of a checkpoint, of what differs ("robot.value_hidden" -> sizes); "" if none does."""
-    flags = []
-    for name, value in found.items():
-        agent, _, setting = name.rpartition(".")
-        if agent and hasattr(LearnConfig, setting):
-            option = setting.replace("_", "-")
-            if isinstance(value, bool):
-                flags.append(f"--{option}" if value else f"--no-{option}")
-            else:
-                words = value if isinstance(value, list) else [value]
-                flags.append(f"--{option} {' '.join(map(str, words))}")
-    return f"Its networks were made with {' '.join(dict.fromkeys(flags))}. " if flags else ""
+    named = ((*name.rpartition(".")[::2], value) for name, value in found.items())
+    settings = {
+        setting: value for agent, setting, value in named if agent and hasattr(LearnConfig, setting)
+    }
+    return f"Its networks were made with {flags_of(settings)}. " if settings else ""
 
 
 def _trainings(lanes: Sequence[str] | None) -> str:

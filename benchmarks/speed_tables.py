@@ -92,6 +92,7 @@ def seed_speed(folder: Path = RESULTS) -> str:
         "environment": lambda x: x["env"],
         "physics": lambda x: x["impl"],
         "seeds x parallel envs": lambda x: f"{x['num_seeds']} x {x['num_envs']:,}",
+        "gradients": lambda x: x.get("gradient_precision", "float32"),
         "training steps/s of all together, median (range)": lambda x: (
             f"**{x['steps_per_s']:,}** ({x['steps_per_s_min']:,} to {x['steps_per_s_max']:,})"
         ),

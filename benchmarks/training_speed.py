@@ -22,7 +22,15 @@ import tyro
 
 from benchmarks.keep import keep
 from train import coop, ppo
-from train.configs import Config, CoopConfig, Count, PPOConfig, config_for, resolve
+from train.configs import (
+    Config,
+    CoopConfig,
+    Count,
+    LearnConfig,
+    PPOConfig,
+    config_for,
+    resolve,
+)
 from train.envs import make_env
 from train.runs.progress import for_terminal
 from train.task_changes import NO_SEARCH
@@ -45,7 +53,7 @@ class TrainingSpeedConfig:
     """Environments of each seed on each device; 0 = as many as training takes."""
     num_seeds: Count = 1
     """Seeds that learn side by side; their steps count together."""
-    gradient_precision: Literal["float32", "tensorfloat32"] = "float32"
+    gradient_precision: Literal["float32", "tensorfloat32"] = LearnConfig.gradient_precision
     """Of matrix products in gradients, see ``agym-jax train --help``."""
     updates: Count = 20
     """In one measurement, rounded up to whole calls."""
@@ -67,7 +75,7 @@ def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[st
         joint = dataclasses.replace(joint, allow_joint_observation=True)
         result = ppo.train(env, _settings(joint, config, devices), for_terminal())
     speeds = [row["steps_per_second"] for row in result.curve[1:]]
-    precise = config.gradient_precision == "float32"
+    usual = config.gradient_precision == LearnConfig.gradient_precision
     return {
         "env": env.name,
         "impl": env.impl,
@@ -80,7 +88,8 @@ def measure(config: TrainingSpeedConfig, learners: int, devices: int) -> dict[st
         "steps_per_s_min": round(min(speeds)),
         "steps_per_s_max": round(max(speeds)),
         "nan": result.nan_steps,
-        "changes": {} if precise else {"gradient_precision": config.gradient_precision},
+        "gradient_precision": config.gradient_precision,
+        "changes": {} if usual else {"gradient_precision": config.gradient_precision},
     }
 
 

@@ -96,7 +96,7 @@ class LearnConfig(EnvFlags):
     recompute_advantages: bool | None = None
     """Recompute advantages and value targets before every pass over the data of an update. None: only if an update has at
     least 10,000 samples; with fewer, the value function memorises them and would learn from its own errors."""
-    gradient_precision: Literal["float32", "tensorfloat32"] = "float32"
+    gradient_precision: Literal["float32", "tensorfloat32"] = "tensorfloat32"
     """Of matrix products in gradients: NVIDIA's TensorFloat-32 is faster and rounds their factors to 10 bits. Environments,
     actions, values and advantages always take float32, as does everything on a CPU."""
     value_loss_coef: float = 0.5

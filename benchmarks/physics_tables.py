@@ -9,6 +9,8 @@ from pathlib import Path
 from benchmarks.markdown import RESULTS, Line, percent, read_results, table
 
 ORDER = itemgetter("env")
+STEPS_COMPARED = 1, 10, 50, 199
+"""Control steps after which ``benchmarks.implementations`` compares joint angles; after the last one of an episode (200), a new one has begun."""
 
 
 def nan(folder: Path = RESULTS) -> str:
@@ -108,6 +110,30 @@ def inside(folder: Path = RESULTS) -> str:
         "deepest": worst,
     }
     return table([x for x in lines if x["parts"]], columns, ORDER)
+
+
+def implementations(folder: Path = RESULTS) -> str:
+    """Whether policies that ship do the same on all implementations of the physics."""
+
+    def off(index: int) -> Callable[[Line], str]:
+        return lambda x: f"{x['off_median'][index]:.1g} ({x['off_largest'][index]:.1g})"
+
+    of = {"native": "C MuJoCo", "jax": "MJX", "warp": "Warp"}
+    lines = [
+        line | {"other": other, "first": line["success"]} | found
+        for line in read_results("implementations", ("env",), folder)
+        for other, found in line["others"].items()
+    ]
+    columns = {
+        "environment": ORDER,
+        "implementations": lambda x: f"{of[x['impl']]}, {of[x['other']]}",
+        "episodes": lambda x: x["episodes"],
+        "successes of either": lambda x: f"{x['first']}, {x['success']}",
+        "same outcome": lambda x: x["same_outcome"],
+        **{f"after {n / 10:g} s": off(i) for i, n in enumerate(STEPS_COMPARED)},
+    }
+    note = "Median (largest) over the episodes of the difference of the joint that is farthest off [rad]; mode;"
+    return table(lines, columns, itemgetter("env", "other"), note)
 
 
 def causes(folder: Path = RESULTS) -> str:

@@ -78,6 +78,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "reach-mouth": physics_tables.reach_mouth,
     "reach-pour": physics_tables.reach_pour,
     "inside": physics_tables.inside,
+    "implementations": physics_tables.implementations,
     "causes": physics_tables.causes,
     "same-starts": physics_tables.same_starts,
     "pulls": physics_tables.pulls,

@@ -19,7 +19,7 @@ from agym_jax.registry import plain_id
 
 from .continued import NOISE_BOUNDS, value_warm_up
 from .errors import ConfigError, check_save_dir
-from .task_changes import CPU_CHANGES, SEARCH_CHANGES, TASK_CHANGES
+from .task_changes import CPU_CHANGES, SEARCH_CHANGES, STEPS, TASK_CHANGES
 
 POSITIVE = "lr", "eps", "max_grad_norm", "clip_param", "init_noise_std", "reward_scaling", "candidates_until"  # fmt: skip
 NOT_NEGATIVE = (
@@ -39,7 +39,7 @@ class LearnConfig(EnvFlags):
     """Settings shared by all trainers; see ``PPOConfig`` and ``CoopConfig``."""
 
     num_env_steps: Annotated[Count, tyro.conf.arg(aliases=["--total-timesteps"])] = 10_000_000
-    """Total number of environment steps, such as 1e7; rounded up to whole updates. Other candidates' steps come on top."""
+    """Number of environment steps of each seed, such as 1e7; rounded up to whole updates. Other candidates' steps come on top."""
     save_dir: str | None = "trained_models"
     """Folder for the results; each environment gets its own subfolder. None writes nothing."""
     seed: int = 1
@@ -305,6 +305,8 @@ def config_for(
     changes = entry_of(TASK_CHANGES, env_name, {})
     if kind is PPOConfig and platform != "cpu" and not continues and "Human" not in env_name:
         changes = changes | entry_of(SEARCH_CHANGES, env_name, {})
+        if steps := entry_of(STEPS, env_name, None):
+            changes = changes | {"num_env_steps": steps}
     changes = changes | (entry_of(CPU_CHANGES, env_name, {}) if platform == "cpu" else {})
     changes = changes | (dict.fromkeys(NOISE_BOUNDS, 0.0) if continues else {})
     return dataclasses.replace(kind(), env_name=env_name, task=task_config(env_name), **changes)

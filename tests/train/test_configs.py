@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+from pathlib import Path
 
 import pytest
 
@@ -112,7 +114,8 @@ def test_two_learners_have_the_settings_of_one_in_the_same_task(task):
     two = config_for(f"{task}JacoHuman-v0", CoopConfig)
     for platform in ("cpu", "gpu"):
         resolved = [dataclasses.asdict(resolve(config, platform)) for config in (one, two)]
-        apart = {"env_name", "candidates_until", *NO_SEARCH}
+        apart = {"env_name", "candidates_until", "num_env_steps", "log_interval", "save_interval"}
+        apart |= NO_SEARCH.keys()
         common = resolved[0].keys() & resolved[1].keys() - apart
         assert len(common) > 25
         assert {n: resolved[0][n] for n in common} == {n: resolved[1][n] for n in common}
@@ -153,6 +156,27 @@ def test_environments_that_devices_cannot_share_get_a_suggestion():
     text = r"17 environments x 20 steps = 340 samples on each of 2 devices.* 7 mini-.*--num-mini-batch 5"
     with pytest.raises(ConfigError, match=text):
         resolve(PPOConfig(num_envs=34, num_steps=20, num_mini_batch=7), "gpu", devices=2)
+
+
+def test_robots_alone_are_trained_with_the_steps_of_the_results():
+    base = PPOConfig().num_env_steps
+    assert config_for("ReachingJaco-v0").num_env_steps == 4_000_000
+    assert config_for("ScratchItchPR2-v0").num_env_steps == 20_000_000
+    assert config_for("MyTask-v0").num_env_steps == base
+    for others in (
+        config_for("ReachingJaco-v0", platform="cpu"),
+        config_for("ReachingJaco-v0", continues=True),
+        config_for("ReachingJacoHuman-v0", CoopConfig),
+    ):
+        assert others.num_env_steps == base
+    page = (Path(__file__).parents[2] / "docs" / "seeds.md").read_text()
+    table = page.partition("<!-- table:selections -->")[2].partition("<!-- /table")[0]
+    rows = re.findall(r"^\| (\w+-v0)[ †]*\| 8 x ([\d.]+) M \|", table, re.MULTILINE)
+    rows = [(name, 1e6 * float(steps)) for name, steps in rows if "Human" not in name]
+    assert len(rows) > 20
+    for name, steps in rows:
+        if not name.startswith("Dressing"):  # there, candidates are the default
+            assert config_for(name).num_env_steps == pytest.approx(steps, rel=0.01), name
 
 
 def test_automatic_settings_depend_on_the_machine():

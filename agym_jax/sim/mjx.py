@@ -41,6 +41,9 @@ JAX_ITERATIONS, JAX_LS_ITERATIONS = 20, 12
 """Most Newton iterations and line-search steps in JAX, which stops when it has converged. With 8 iterations a wiper that
 meets the arm can press with 24 N where C MuJoCo has 2.6 N; with 20 they agree within 0.001 N, as fast.
 ``tests/sim/test_parity.py`` compares a pressing rollout with C MuJoCo; ``python -m benchmarks.nan`` looks for NaN."""
+LEAST_BOUND = 1e-6
+"""Bound of a motor that has none of its own in JAX [N m], where a limp joint with a bound of 0 would be held as if by any torque:
+MJX 3.17 takes dry friction of 0, if it was not 0 when the model was made, for an equality. C MuJoCo and Warp leave such rows out."""
 WARP_CONTACTS_PER_ENV = 40
 WARP_ROWS_PER_ENV = 128
 """Rows of constraints of an environment, see ``warp_rows``."""
@@ -185,6 +188,9 @@ class MjxPhysics:
         muscles = self.controller.muscles(episode.human)
         fields = model_fields(self.scene, self.model, episode, muscles)
         fields |= self.controller.contact_fields(self.model, episode.human)
+        if self.impl == "jax":
+            bounds = fields["dof_frictionloss"]
+            fields["dof_frictionloss"] = jnp.maximum(bounds, LEAST_BOUND)
         return self.model.tree_replace(fields)
 
 

@@ -140,9 +140,9 @@ def test_the_table_of_training_compares_with_one_learner_on_one_device(tmp_path)
     (tmp_path / "training_speed.jsonl").write_text("\n".join(map(json.dumps, (two, one, seeds))))
     assert speed_tables.training_speed(tmp_path).splitlines()[2:4] == rows
     found = speed_tables.seed_speed(tmp_path).splitlines()
-    assert found[2] == "| A-v0 | warp | 8 x 8 | **900** (1 to 2) |" and "A-v0" not in "".join(
-        found[3:]
-    )
+    assert found[
+        2
+    ] == "| A-v0 | warp | 8 x 8 | float32 | **900** (1 to 2) |" and "A-v0" not in "".join(found[3:])
 
 
 def test_what_a_kill_breaks_is_found(tmp_path):

@@ -247,6 +247,12 @@ def reported(choice: Line) -> Line:
     return kept | {name: choice[name] for name in ("env", "episodes", "nan_episodes", "overflow")}
 
 
+def known_better(found: Found, summary: Line) -> bool:
+    """Whether more episodes of what ships are recorded than this evaluation has, in the present physics."""
+    known = found.recorded
+    return bool(known) and not is_earlier(known) and known.get("episodes", 0) > summary["episodes"]
+
+
 def decide(found: Found, least: float, replaced: bool = False) -> tuple[bool, str]:
     """Whether the chosen policy is to ship, and why; ``replaced`` as for ``collect``."""
     name, ours = found.run.name, reported(found.choice)
@@ -347,7 +353,8 @@ def collect(found: Found, config: CollectConfig, replaced: bool = False) -> tupl
         if ships:
             info = ship(found)
         elif found.file.is_file() and choice.get("shipped") and not replaced:
-            summary, info = choice["shipped"], dict(read_policy(found.file).info)
+            summary = choice["shipped"]
+            info = {} if known_better(found, summary) else dict(read_policy(found.file).info)
         if info and not found.memory and not config.trial:
             put(*evaluation(found, summary, info), ("env", "time", "policy", "human_policy"))
     low, high = choice["success_iqm_low"], choice["success_iqm_high"]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -33,7 +33,7 @@ class ImplementationsConfig(ShippedConfig):
 
     num_episodes: Count = 32
     """Episodes of each policy."""
-    impls: tuple[str, ...] = ("native", "jax")
+    impls: tuple[Literal["native", "jax", "warp"], ...] = ("native", "jax")
     """Implementations; the others are compared with the first."""
     seed: int = 0
     """Of the episodes."""

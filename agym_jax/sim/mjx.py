@@ -42,8 +42,8 @@ JAX_ITERATIONS, JAX_LS_ITERATIONS = 20, 12
 meets the arm can press with 24 N where C MuJoCo has 2.6 N; with 20 they agree within 0.001 N, as fast.
 ``tests/sim/test_parity.py`` compares a pressing rollout with C MuJoCo; ``python -m benchmarks.nan`` looks for NaN."""
 LEAST_BOUND = 1e-6
-"""Bound of a motor that has none of its own in JAX [N m], where a limp joint with a bound of 0 would be held as if by any torque:
-MJX 3.17 takes dry friction of 0, if it was not 0 when the model was made, for an equality. C MuJoCo and Warp leave such rows out."""
+"""Smallest bound of a motor in JAX [N m]. With 0, a limp joint would be held: if dry friction was not 0 when the model was made and
+is now, MJX 3.17 takes it for an equality. C MuJoCo and Warp leave such rows out."""
 WARP_CONTACTS_PER_ENV = 40
 WARP_ROWS_PER_ENV = 128
 """Rows of constraints of an environment, see ``warp_rows``."""

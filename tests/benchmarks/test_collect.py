@@ -7,6 +7,7 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -284,6 +285,16 @@ def test_lost_contacts_do_not_ship(runs, repository):
     finally:
         path.write_text(before)
     assert collecting.decide(found, 0.0) == (False, "contacts were lost: not a result")
+
+
+@pytest.mark.parametrize(
+    ("episodes", "year", "better"), [(1000, 2027, True), (500, 2027, False), (1000, 2021, False)]
+)
+def test_what_ships_keeps_its_figure_over_more_people(episodes, year, better):
+    line = {"env": ALONE, "episodes": episodes, "time": f"{year}-01-01T00:00:00+00:00"}
+    found = SimpleNamespace(recorded=line)
+    assert collecting.known_better(found, {"episodes": 500}) is better
+    assert not collecting.known_better(SimpleNamespace(recorded=None), {"episodes": 500})
 
 
 @pytest.mark.slow

@@ -138,8 +138,11 @@ def test_an_action_does_not_depend_on_what_the_other_sees_by_one_bit(central, ag
     assert not any(same_bytes(x, y) for x, y in zip(before, after, strict=True))
 
 
-def test_acting_and_learning_never_round_to_tf32():
+def test_acting_never_rounds_to_tf32_and_learning_only_in_gradients():
     agents, learner, batch, last = updated(SMALL)
+    found = full(agents.learn, learner, batch, last, jax.random.PRNGKey(3), HYPER)
+    assert any(found) and not all(found)
+    agents, learner, batch, last = updated(dataclasses.replace(SMALL, gradient_precision="float32"))
     key, obs = jax.random.PRNGKey(3), batch.obs[0]
     policy = agents.policies(learner, {})["robot"]
     programs = [

@@ -305,8 +305,7 @@ def config_for(
     changes = entry_of(TASK_CHANGES, env_name, {})
     if kind is PPOConfig and platform != "cpu" and not continues and "Human" not in env_name:
         changes = changes | entry_of(SEARCH_CHANGES, env_name, {})
-        if steps := entry_of(STEPS, env_name, None):
-            changes = changes | {"num_env_steps": steps}
+        changes = changes | {"num_env_steps": entry_of(STEPS, env_name, kind.num_env_steps)}
     changes = changes | (entry_of(CPU_CHANGES, env_name, {}) if platform == "cpu" else {})
     changes = changes | (dict.fromkeys(NOISE_BOUNDS, 0.0) if continues else {})
     return dataclasses.replace(kind(), env_name=env_name, task=task_config(env_name), **changes)

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks import implementations, physics_tables
-from benchmarks.implementations import ImplementationsConfig, Played, compare, measure
-from train.envs import make_env
+from benchmarks.implementations import ImplementationsConfig, Played, compare, play
 
 
 def played(success: list[bool], shift: float = 0.0) -> Played:
@@ -28,29 +27,25 @@ def test_the_joint_that_is_farthest_off_counts():
 
 
 @pytest.mark.slow
-def test_c_mujoco_is_itself(monkeypatch: pytest.MonkeyPatch, tmp_path):
-    """Played twice, the same comes out to the last bit; the table shows it."""
-    monkeypatch.setattr(implementations, "make_env", lambda name, _: make_env(name, "native"))
-    monkeypatch.setattr(implementations, "jax", NoJit)
-    config = ImplementationsConfig(num_episodes=2, impls=("native", "jax"))
-    fields = measure("ReachingSawyer-v0", config)
-    found = fields["others"]["jax"]
-    assert fields["success"] == found["success"] == found["same_outcome"] == 2
-    assert found["return"] == fields["return"] and max(found["off_largest"]) == 0.0
-    about = {"commit": "x", "device": {"kind": "CPU"}, "time": "2026-12-01T00:00:00"}
-    (tmp_path / "implementations.jsonl").write_text(json.dumps(fields | about) + "\n")
-    row = physics_tables.implementations(tmp_path).splitlines()[2]
-    assert row == "| ReachingSawyer-v0 | C MuJoCo, MJX | 2 | 2, 2 | 2 |" + " 0 (0) |" * 4
+def test_c_mujoco_does_the_same_twice():
+    config = ImplementationsConfig(num_episodes=2)
+    first, again = (play("ReachingSawyer-v0", "native", config) for _ in range(2))
+    found = compare(first, again)
+    assert first.success.all() and found["same_outcome"] == 2 and max(found["off_largest"]) == 0.0
+    assert first.angles.shape[:2] == (len(physics_tables.STEPS_COMPARED), 2)
+    assert np.ptp(first.angles, axis=0).max() > 0.1  # it moves
 
 
-class NoJit:
-    """Of JAX what ``play`` needs."""
-
-    import jax.random as random
-
-    @staticmethod
-    def jit(function):  # noqa: D102
-        return function
+def test_the_table_has_a_row_for_each_that_is_compared(tmp_path):
+    found = compare(played([True, False]), played([False, False], shift=0.25))
+    line = {
+        "env": "A-v0", "impl": "native", "episodes": 2, "success": 1, "others": {"jax": found, "warp": found},
+        "commit": "x", "device": {"kind": "CPU"}, "time": "2026-12-01T00:00:00",
+    }  # fmt: skip
+    (tmp_path / "implementations.jsonl").write_text(json.dumps(line) + "\n")
+    rows = physics_tables.implementations(tmp_path).splitlines()[2:4]
+    same = " 2 | 1, 0 | 1 | 0 (0) | 0 (0) | 0 (0) | 0.1 (0.2) |"
+    assert rows == [f"| A-v0 | C MuJoCo, {other} |{same}" for other in ("MJX", "Warp")]
 
 
 def test_one_implementation_cannot_be_compared(capsys: pytest.CaptureFixture):

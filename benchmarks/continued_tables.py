@@ -19,7 +19,9 @@ def gentle(folder: Path = RESULTS) -> str:
     Those that lost something as their statistics drifted are left out, where there are others of the same environment.
     """
 
-    def figures(x: Line) -> str:
+    def figures(x: Line | None) -> str:
+        if x is None:  # it did not lie beside the run
+            return "not measured"
         return f"{x['gentle_success']:.1%}, {x['success']:.1%}, {x['peak_median']:.0f} N"
 
     columns = {

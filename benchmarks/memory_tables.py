@@ -71,16 +71,27 @@ def trainings(folder: Path = RESULTS) -> str:
 
 
 def without_memory(folder: Path) -> dict[str, list[Line]]:
-    """Environment -> the newest choices without a memory, of the suite and of a training of its own, with the settings of the id."""
+    """Environment -> the newest choices without a memory and with the settings of the id, of the suite and of trainings of its own (with restarts and without)."""
     found: dict[str, list[Line]] = {}
-    trainings = {x["env"]: x for x in markdown.read_results("seed_training", ("env",), folder)}
     alone = newest_suite(folder, active=False, limited=False)
-    for line in (*alone, *markdown.read_results("selection", ("env",), folder)):
+    for line in (*alone, *newest_choices(folder)):
         if not line.get("trained_with"):
-            training = line.get("training") or trainings.get(line["env"], {})
-            line |= {"candidates": training.get("candidates")}
             found.setdefault(line["env"], []).append(line)
     return {env: sorted(lines, key=itemgetter("num_env_steps")) for env, lines in found.items()}
+
+
+def newest_choices(folder: Path) -> list[Line]:
+    """The newest choice of each environment with restarts, and the newest without, with what its training says of both and of candidates."""
+    trainings = {
+        (x["env"], x["time"]): x
+        for x in markdown.read_results("seed_training", ("env", "time"), folder)
+    }
+    newest: dict[tuple[str, bool], Line] = {}
+    for line in markdown.read_results("selection", ("env", "time"), folder):
+        training = trainings.get((line["env"], line.get("training_time")), {})
+        told = {name: training.get(name) for name in ("candidates", "restart_share")}
+        newest[line["env"], bool(told["restart_share"])] = line | told
+    return list(newest.values())
 
 
 def policies(folder: Path = RESULTS) -> str:

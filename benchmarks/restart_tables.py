@@ -16,12 +16,13 @@ def trainings(folder: Path = RESULTS) -> str:
     memory = [x for x in memory_tables.runs(folder) if not x["started_from"] and "code" not in x]
     lines = [x for x in memory if x.get("restart_share")]
     lines += markdown.read_results("restarts", ("env", "time"), folder)
+    lines += [x for x in memory_tables.newest_choices(folder) if x["restart_share"]]
     usual = memory_tables.without_memory(folder)
 
     def without(line: Line) -> list[Line]:
-        if not line.get("changes"):
-            return usual.get(line["env"], [])
-        same = [x for x in memory if (x["env"], x["changes"]) == (line["env"], line["changes"])]
+        changes = line.get("changes")
+        same = [x for x in memory if (x["env"], x["changes"]) == (line["env"], changes)]
+        same = same if changes else usual.get(line["env"], [])
         return [x for x in same if not x.get("restart_share")]
 
     sign = markdown.mark([*lines, *(y for x in lines for y in without(x))])

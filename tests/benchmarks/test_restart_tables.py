@@ -25,8 +25,9 @@ def test_a_training_with_restarts_stands_beside_those_without(tmp_path):
         "memory": [line([0.1, 0.3], 2_000_000, **memory), line([0.6, 0.8], 3_000_000, **memory, **both),
                    line([0.9, 0.9], 4_000_000, **memory, restart_share=0.5, started_from="shipped")],
         "restarts": [line([0.2, 0.4], 5_000_000, restart_share=0.25, trained_with={"humans.sizes": "both", "robot.strength": [0.5, 1.0]})],
-        "selection": [line([0.0, 0.5], 6_000_000)],
-        "seed_training": [{"env": "DressingPR2-v0", "candidates": candidates, "time": "2026-12-01T00:00:06+00:00"}],
+        "selection": [line([0.0, 0.5], 6_000_000, training_time="06"), line([0.5, 0.7], 7_000_000, training_time="07")],
+        "seed_training": [{"env": "DressingPR2-v0", "candidates": candidates, "restart_share": 0.0, "time": "06"},
+                          {"env": "DressingPR2-v0", **both, "time": "07"}],
     }  # fmt: skip
     for name, each in rows.items():
         (tmp_path / f"{name}.jsonl").write_text("".join(json.dumps(x) + "\n" for x in each))
@@ -35,12 +36,11 @@ def test_a_training_with_restarts_stands_beside_those_without(tmp_path):
     assert [x[1:3] for x in cells] == [
         ["0.3, 4", "2 x 3 M, restarts 0.5, of 4 candidates after 40% by success"],
         ["", "2 x 5 M, restarts 0.25, people of both kinds of size, `--robot.strength 0.5 1.0`"],
+        ["", "2 x 7 M, restarts 0.5, of 4 candidates after 40% by success"],
     ]
-    assert [x[4] for x in cells] == ["60.0%, 70.0%", "20.0%, 30.0%"]
-    assert [x[5] for x in cells] == [
-        "2 x 2 M: 10.0%, 20.0%",
-        "2 x 6 M, of 4 candidates after 40% by success: 0.0%, 25.0%",
-    ]
+    assert [x[4] for x in cells] == ["60.0%, 70.0%", "20.0%, 30.0%", "50.0%, 60.0%"]
+    alone = "2 x 6 M, of 4 candidates after 40% by success: 0.0%, 25.0%"
+    assert [x[5] for x in cells] == ["2 x 2 M: 10.0%, 20.0%", alone, alone]
 
 
 def test_how_seeds_were_trained_is_told_in_few_words():

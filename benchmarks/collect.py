@@ -35,9 +35,9 @@ from benchmarks import seed_curves, tables
 from benchmarks.journal import whole_suite
 from benchmarks.markdown import RESULTS, Line, is_earlier
 from benchmarks.memory_tables import run_of
+from benchmarks.restart_tables import usual_restarts
 from benchmarks.shipped import recorded
 from benchmarks.trained import statistics
-from train.configs import CoopConfig, PPOConfig, config_for
 from train.runs.overview import read_rows, selection_of, training_summary
 from train.select import trainings_of
 
@@ -281,13 +281,6 @@ def decide(found: Found, least: float, replaced: bool = False) -> tuple[bool, st
     return ships, (
         f"gently {gently:.1%}; what ships has {theirs['success']:.1%}, gently {theirs_gently:.1%}, over {where}"
     )
-
-
-def usual_restarts(name: str) -> float:
-    """The share of restarts with which an environment is trained on a GPU, where nothing else is said."""
-    if parse(name).active:
-        return config_for(name, CoopConfig).restart_share
-    return config_for(name, PPOConfig).restart_share
 
 
 def ship(found: Found) -> Line:

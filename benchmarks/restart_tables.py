@@ -1,14 +1,16 @@
-"""The table of trainings with restarts, beside those without."""
+"""Tables of trainings with restarts, beside those without, and of the default, with restarts or without."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from agym_jax.registry import parse
 from benchmarks import markdown, memory_tables
 from benchmarks.markdown import RESULTS, Line
 from benchmarks.memory_tables import times
 from benchmarks.policy_tables import seeds_and_steps, seeds_in_percent, worst_and_mean
 from benchmarks.trained import trained_among
+from train.configs import CoopConfig, PPOConfig, config_for
 
 
 def trainings(folder: Path = RESULTS) -> str:
@@ -39,3 +41,25 @@ def trainings(folder: Path = RESULTS) -> str:
     episodes = markdown.several(f"{x['episodes']:,}" for x in lines)
     note = f"{episodes} episodes of each seed, mode; {markdown.EARLIER} measured before the present physics;"
     return markdown.table(lines, columns, lambda x: (x["env"], x["time"]), note)
+
+
+def usual_restarts(name: str) -> float:
+    """The share of restarts with which an environment is trained on a GPU, where nothing else is said."""
+    return config_for(name, CoopConfig if parse(name).active else PPOConfig).restart_share
+
+
+def at_a_glance(folder: Path = RESULTS) -> str:
+    """The worst seed and the interquartile mean of what is trained by default, by task and robot."""
+    found: dict[str, Line] = {}
+    lines = [
+        *memory_tables.newest_choices(folder),
+        *markdown.read_results("restarts", ("env", "time"), folder),
+    ]
+    for line in sorted(lines, key=lambda x: x["time"]):
+        if parse(line["env"]).active or line.get("trained_with"):
+            continue
+        if (line["restart_share"] or 0.0) == usual_restarts(line["env"]):
+            found[line["env"]] = line
+    counts = markdown.several(len(x["seeds"]) for x in found.values())
+    note = f"Worst and interquartile mean of {counts} seeds;"
+    return markdown.matrix(list(found.values()), worst_and_mean, note)

@@ -48,6 +48,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "compile": speed_tables.compilation,
     "chosen-among": policy_tables.chosen_among,
     "policies": policy_tables.policies,
+    "seeds-at-a-glance": restart_tables.at_a_glance,
     "selections": policy_tables.selections,
     "suite": suite_tables.suite,
     "suite-gentle": suite_tables.suite_gentle,

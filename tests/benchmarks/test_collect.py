@@ -340,12 +340,6 @@ def test_policies_with_a_memory_ship_beside_those_without(plain, ships, runs, re
     assert len(lines(repository, "evaluation")) == (plain is not None)
 
 
-def test_the_restarts_with_which_an_environment_is_trained_by_default():
-    assert collecting.usual_restarts("DressingJaco-v0") == 0.5
-    assert collecting.usual_restarts("DressingJacoHuman-v0") == 0.0
-    assert collecting.usual_restarts("FeedingJaco-v0") == 0.0
-
-
 @pytest.mark.slow
 def test_trainings_with_restarts_have_results_of_their_own(runs, repository):
     collected(runs, ('"restart_share": 0.0', '"restart_share": 0.5'), shipped=None)

@@ -46,3 +46,25 @@ def test_a_training_with_restarts_stands_beside_those_without(tmp_path):
 def test_how_seeds_were_trained_is_told_in_few_words():
     assert seeds_and_steps(8, 4_014_080) == "8 x 4.01 M"
     assert seeds_and_steps(8, 4_000_000, restart_share=0.5) == "8 x 4 M, restarts 0.5"
+
+
+def test_the_restarts_with_which_an_environment_is_trained_by_default():
+    assert restart_tables.usual_restarts("DressingJaco-v0") == 0.5
+    assert restart_tables.usual_restarts("DressingJacoHuman-v0") == 0.0
+    assert restart_tables.usual_restarts("FeedingJaco-v0") == 0.0
+
+
+def test_at_a_glance_stands_what_is_trained_by_default(tmp_path):
+    restarts = [
+        line([0.6, 0.8], 3_000_000, restart_share=0.5),
+        line([0.7, 0.9], 4_000_000, restart_share=0.5, env="FeedingPR2-v0"),
+    ]
+    selection = [
+        line([0.1, 0.3], 6_000_000),
+        line([0.5, 0.7], 2_000_000, env="FeedingPR2-v0"),
+        line([0.0, 0.0], 7_000_000, env="FeedingPR2Human-v0"),
+    ]
+    for name, each in {"restarts": restarts, "selection": selection}.items():
+        (tmp_path / f"{name}.jsonl").write_text("".join(json.dumps(x) + "\n" for x in each))
+    rows = [x.strip("| ") for x in restart_tables.at_a_glance(tmp_path).splitlines()]
+    assert rows[2:4] == ["Feeding | 50.0%, 60.0%", "Dressing | 60.0%, 70.0%"]

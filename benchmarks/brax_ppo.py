@@ -36,6 +36,7 @@ from train.configs import Count, PPOConfig, config_for, resolve, updates_in
 from train.envs import make_env
 from train.evaluate import Evaluator
 from train.learning.ppo import architecture
+from train.task_changes import NO_SEARCH
 
 Trainer = Literal["brax", "same", "shipped"]
 WITHOUT: dict[str, Any] = {
@@ -44,6 +45,11 @@ WITHOUT: dict[str, Any] = {
     "entropy_decay_share": 0.0,
     "normalize_reward": False,
     "privileged_critic": False,
+    "value_layer_norm": False,
+    "gradient_precision": "float32",
+    "noise_floor": 0.0,
+    "noise_ceiling": 0.0,
+    **NO_SEARCH,
 }
 """What ``train.ppo`` does besides, switched off. What stays: the true last observation at a time limit."""
 PICTURE = RESULTS.parent.parent / "docs" / "images" / "brax_ppo.png"

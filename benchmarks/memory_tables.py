@@ -16,7 +16,6 @@ from benchmarks.markdown import EARLIER, NOTHING, RESULTS, Line
 from benchmarks.policy_tables import COMMIT, seeds_and_steps, seeds_in_percent, worst_and_mean
 from benchmarks.suite_tables import newest_suite
 from benchmarks.trained import trained_among
-from train.runs.overview import share
 
 
 def runs(folder: Path = RESULTS) -> list[Line]:
@@ -155,7 +154,7 @@ def _both(told: Callable[[Line], str], before: Line | None, after: Line | None) 
 
 
 def _success(line: Line) -> str:
-    return f"{share(line['success'])}, gently {share(line['gentle_success'])}"
+    return f"{line['success']:.1%}, gently {line['gentle_success']:.1%}"
 
 
 def _least(line: Line) -> str:

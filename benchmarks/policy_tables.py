@@ -184,7 +184,7 @@ def seeds_and_steps(line: Line) -> str:
 
 def worst_and_mean(line: Line) -> str:
     """Success of the worst seed, and the interquartile mean."""
-    return f"{overview.share(min(line['success_of_seeds']))}, {overview.share(line['success_iqm'])}"
+    return f"{min(line['success_of_seeds']):.1%}, {line['success_iqm']:.1%}"
 
 
 def seeds_in_percent(values: Sequence[float]) -> str:

@@ -45,7 +45,9 @@ def trainings(folder: Path = RESULTS) -> str:
 
 def usual_restarts(name: str) -> float:
     """The share of restarts with which an environment is trained on a GPU, where nothing else is said."""
-    return config_for(name, CoopConfig if parse(name).active else PPOConfig).restart_share
+    if parse(name).active:
+        return config_for(name, CoopConfig).restart_share
+    return config_for(name, PPOConfig).restart_share
 
 
 def at_a_glance(folder: Path = RESULTS) -> str:

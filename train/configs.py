@@ -203,7 +203,8 @@ class LearnConfig(EnvFlags):
         for name in ("noise_floor", "noise_ceiling"):
             if getattr(self, name) and self.distribution != "normal":
                 raise ConfigError(
-                    f"{name} bounds the deviation of --distribution normal; {self.distribution} has no such parameter."
+                    f"{name} ({getattr(self, name):g}, perhaps by default) bounds the deviation of --distribution normal; "
+                    f"{self.distribution} has no such parameter. Add --{name.replace('_', '-')} 0."
                 )
         if self.noise_ceiling > 1 or self.noise_ceiling_from == 1:
             raise ConfigError(

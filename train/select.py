@@ -125,11 +125,11 @@ def load_seeds(
 
 
 def had_limit(run: Path) -> bool:
-    """Return whether a run was trained with ``--cost-limit``."""
-    settings = run / "config.json"
-    if not settings.is_file():
-        return False
-    return json.loads(settings.read_text())["config"].get("cost_limit") is not None
+    """Return whether a run, or the sweep of which it is one setting, was trained with ``--cost-limit``."""
+    for folder in (run.resolve(), run.resolve().parent):
+        if (settings := folder / "config.json").is_file():
+            return json.loads(settings.read_text())["config"].get("cost_limit") is not None
+    return False
 
 
 def check(config: SelectConfig) -> None:
@@ -272,6 +272,7 @@ def main(
     check_appendable(own, "What is measured is kept in the folder of the run.")
     evaluator = Evaluator(env, config.num_episodes)
     scores, reported = select(evaluator, policies, config)
+    print(f"{scores.table()}\nThe best, on other people:\n{reported.table()}")
     ships, unfit, trainings = (
         measure_shipped(evaluator, config) if config.shipped else (None, "", {})
     )
@@ -298,13 +299,11 @@ def main(
     append_record(own, line)
     if config.json and Path(config.json).resolve() != own:
         append_record(config.json, line)
-    print(scores.table())
     if not trained_with and (needs := needs_noise(scores, with_noise)):  # else other people
         print(needs)
     if not scores.fulfils(scores.best):
         print(f"No seed reaches {', '.join(config.at_least)}; the best of all is chosen.")
-    print(f"Chosen: seed {scores.best}, now {run / FILE_NAMES['robot']}. On other people:")
-    print(reported.table())
+    print(f"Chosen: seed {scores.best}, now {run / FILE_NAMES['robot']}.")
     if ships or unfit:
         print(f"The shipped policy, on the same people:\n{ships.table() if ships else unfit}")
     return 0

@@ -86,8 +86,8 @@ def main(
     runner = Runner(config, program or own_program(), gpus)
 
     def stop(*_: Any) -> None:
-        print("Stopping; trainings save their state ...", flush=True)
         runner.children.stop()  # first: nobody waits for a training that was not told
+        print("Stopping; trainings save their state ...", flush=True)
         raise KeyboardInterrupt
 
     before = [(number, signal.signal(number, stop)) for number in (signal.SIGINT, signal.SIGTERM)]
@@ -123,10 +123,11 @@ def _run_all(config: SuiteConfig, ids: Sequence[str], runner: Runner) -> int:
             print(f"No film of {name}:\n{problem}")
     finally:
         over.set()
-    took = time.perf_counter() - whole.start
+    took, results = time.perf_counter() - whole.start, Path(config.save_dir) / "results.md"
     print(
         f"{len(ids) - failed} of {len(ids)} environments in {duration(took)}; one after another, their trainings "
-        f"and choices would take {duration(used)}. Results: {Path(config.save_dir) / 'results.md'}"
+        f"and choices would take {duration(used)}."
+        + (f" Results: {results}" if results.is_file() else "")
     )
     return 1 if failed else 0
 

@@ -12,6 +12,7 @@ import dataclasses
 import itertools
 import json
 import re
+import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,8 +34,8 @@ from .evaluation.statistics import bootstrap_interval, iqm
 from .learning.agents import Agents
 from .learning.seeds import Lane
 from .runs.progress import Progress, for_terminal
-from .runs.result import SeedResult, TrainResult, summary
-from .runs.session import resolve_config, run_session
+from .runs.result import SeedResult, TrainResult, summary, unsaved
+from .runs.session import on_terminate, resolve_config, run_session
 from .task_changes import NO_SEARCH
 
 SWEPT = (
@@ -148,6 +149,10 @@ def sweep(
     refuse_active_human(env, config.allow_joint_observation)
     if "cost_limit" in settings[0]:  # the program has a limit, its value is an argument
         config = dataclasses.replace(config, cost_limit=settings[0]["cost_limit"])
+    if config.cost_limit is None and (idle := [x for x in settings[0] if x.startswith("cost_")]):
+        raise ConfigError(
+            f"{', '.join(idle)} has no effect without a limit. Add cost_limit to --grid, such as cost_limit=0.05."
+        )
     config, mesh = resolve_config(env, config)
     agents = Agents(config, env, ("robot" if len(env.action_sizes) == 1 else "joint",))
     lanes = lanes_of_sweep(config, settings, num_seeds)
@@ -208,6 +213,7 @@ def main(
     prog: str = f"python -m {__package__}.sweep",
 ) -> int:
     """Run the command line and return the exit status."""
+    signal.signal(signal.SIGTERM, on_terminate)
     flags = parse_flags(SweepConfig, arguments, prog, plain(__doc__))
     settings = parse_grid(flags.grid, flags.random, flags.seed)
     continues = flags.robot_policy is not None
@@ -221,6 +227,9 @@ def main(
     ranked = rank(result, settings, flags.num_seeds)
     print(summary(result))
     print(table(ranked))
+    if result.unsaved:
+        print(unsaved(result), file=sys.stderr)
+        return 2
     if result.folder:
         write_file(result.folder / "sweep.json", (json.dumps(ranked, indent=2) + "\n").encode())
     return 130 if result.interrupted else 0

@@ -186,6 +186,29 @@ def write_file(path: Path, content: bytes) -> None:
         os.close(folder)
 
 
+def append_line(path: Path, line: str) -> None:
+    """Add a line to a file, whole or not at all; it begins behind what a killed process left half written.
+
+    Args:
+        path: file; its folder exists.
+        line: without its end.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    size = path.stat().st_size if path.is_file() else 0
+    try:
+        with path.open("a+b") as file:
+            if size:
+                file.seek(-1, os.SEEK_END)
+            begin = b"\n" if size and file.read(1) != b"\n" else b""
+            file.write(begin + line.encode() + b"\n")
+    except OSError:
+        with contextlib.suppress(OSError):
+            os.truncate(path, size)
+        raise
+
+
 def remove_parts(folder: Path) -> None:
     """Remove what ``write_file`` leaves in a folder, or below it, when it is killed; nobody else may be writing there."""
     for part in folder.rglob(f".*{PART}"):

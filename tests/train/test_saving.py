@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import io
 import json
 import os
 import resource
@@ -18,6 +19,7 @@ from fake_env import FakeEnv
 from paths import PROCESS_SECONDS, ROOT, SUPPORT
 from train_runs import listening
 
+from agym_jax.data.npz import append_line
 from agym_jax.errors import SaveFolderError
 from agym_jax.interrupts import deferred
 from agym_jax.policy import load_policy
@@ -26,6 +28,8 @@ from train.ppo import main, train
 from train.runs import manager
 from train.runs.checkpoint import checkpoint_files, load_newest
 from train.runs.folder import RunFolder
+from train.runs.overview import read_rows
+from train.runs.progress import Lines
 
 SMALL = PPOConfig(
     env_name="FakeReach-v0", num_env_steps=640, num_envs=4, num_mini_batch=4,
@@ -155,6 +159,42 @@ def test_a_row_that_does_not_fit_is_not_left_in_half(tmp_path):
     assert folder.curve.read_bytes() == before
     folder.add_row({"step": 2})
     assert rows_of(folder.path) == [{"step": 1}, {"step": 2}]
+
+
+def test_what_a_killed_process_left_half_written_hides_nothing(tmp_path):
+    file = tmp_path / "selection.jsonl"
+    append_line(file, '{"a": 1}')
+    with file.open("a") as half:
+        half.write('{"a": 2, "succ')
+    append_line(file, '{"a": 3}')
+    append_line(file, '{"a": 4}')
+    assert read_rows(file) == [{"a": 1}, {"a": 3}, {"a": 4}]
+
+
+def test_progress_on_a_full_disk_is_lost_and_nothing_else(monkeypatch):
+    class Full(io.StringIO):
+        def write(self, text):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("sys.stdout", Full())
+    Lines().say("1,000 steps")
+
+
+def test_two_interrupts_at_once_save_as_one_does(tmp_path, monkeypatch):
+    """A terminal's Ctrl-C and the suite's SIGTERM reach a training together: the second one, as it begins to save."""
+    save, second = manager.CheckpointManager.save, [KeyboardInterrupt()]
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    def interrupted(*words):
+        if second:
+            raise second.pop()
+        return save(*words)
+
+    monkeypatch.setattr(manager.CheckpointManager, "save", interrupted)
+    result = train(FakeEnv(), dataclasses.replace(SMALL, save_dir=str(tmp_path)), on_log=interrupt)
+    assert result.interrupted and result.env_steps == result.saved_steps == 80
 
 
 def test_an_interrupt_waits_for_the_end_of_what_must_be_whole():

@@ -15,7 +15,7 @@ from paths import PROCESS_SECONDS, ROOT, SUPPORT
 from train_runs import start_python
 
 from agym_jax import list_envs
-from agym_jax.errors import UnknownNameError
+from agym_jax.errors import AgymError, UnknownNameError
 from agym_jax.policy.files import load_policy
 from agym_jax.policy.policy import save_policy
 from train.errors import ConfigError
@@ -127,6 +127,10 @@ def test_names_and_steps():
     assert steps_for(config, "ReachingJaco-v0") is None
     with pytest.raises(ConfigError, match="--steps takes NAME=STEPS"):
         check_entries(SuiteConfig(steps=("Dressing",)), everything)
+    with pytest.raises(ConfigError, match="--steps Dressing=6M: '6M' is not a number, such as"):
+        check_entries(SuiteConfig(steps=("Dressing=6M",)), everything)
+    with pytest.raises(AgymError, match="--steps Dressing must be"):
+        check_entries(SuiteConfig(steps=("Dressing=0",)), everything)
     with pytest.raises(UnknownNameError, match="Dresing"):
         check_entries(SuiteConfig(steps=("Dresing=6e6",)), everything)
     with pytest.raises(ConfigError, match="--num-seeds 1 leaves none"):
@@ -297,6 +301,15 @@ def test_the_share_of_the_whole(tmp_path):
     assert "(FeedingJaco-v0 60%)" in whole.words() and "left" in whole.words()
     (run / "selection.jsonl").write_text(json.dumps({"env": IDS[1]}))
     assert whole.share() == pytest.approx(0.75) and "1 of 2 finished" in whole.words()
+
+
+def test_one_seed_is_finished_when_it_is_trained(tmp_path):
+    config = SuiteConfig(save_dir=str(tmp_path), steps=("Reaching=1000",), num_seeds=1)
+    run = tmp_path / "ReachingJaco-v0"
+    run.mkdir()
+    (run / "config.json").write_text(json.dumps({"config": {"num_env_steps": 1000}}))
+    (run / "curve.jsonl").write_text(json.dumps({"env_steps": 1000}) + "\n")
+    assert "1 of 1 finished" in Whole(config, [run.name]).words()
 
 
 def test_gpus(monkeypatch):

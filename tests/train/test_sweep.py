@@ -15,6 +15,7 @@ from agym_jax.errors import UnknownNameError
 from train.configs import PPOConfig
 from train.errors import ConfigError
 from train.ppo import train
+from train.select import had_limit
 from train.sweep import main, name_of, parse_grid, rank, setting_of, sweep
 
 CONFIG = PPOConfig(
@@ -74,3 +75,18 @@ def test_the_command_writes_the_ranking(tmp_path, capsys):
     out = capsys.readouterr().out
     folder = tmp_path / "FakeReach-v0" / "SETTING"
     assert "worst seed" in out and f"Choose a seed: agym-jax select {folder}\n" in out
+
+
+def test_settings_of_a_limit_are_refused_without_one():
+    settings = parse_grid(("cost_multiplier_max=0.2,0.5",))
+    with pytest.raises(ConfigError, match="cost_multiplier_max has no effect without a limit"):
+        sweep(FakeEnv(), CONFIG, settings, 1)
+
+
+def test_a_setting_of_a_sweep_has_the_limit_of_the_sweep(tmp_path):
+    setting = tmp_path / "cost_limit=0.1"
+    setting.mkdir()
+    assert not had_limit(setting)
+    for limit in (None, 0.1):
+        (tmp_path / "config.json").write_text(json.dumps({"config": {"cost_limit": limit}}))
+        assert had_limit(setting) is (limit is not None)

@@ -23,7 +23,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.training.types import UInt64
 
 from agym_jax.errors import PolicyNotFoundError
 from agym_jax.memory import MEMORY
@@ -149,7 +148,8 @@ class Agents:
         self.losses, self.episode_length = tuple(dict.fromkeys(losses)), env.episode_length
         # a batch of the environment's own may truncate whenever it wants, and a restarted episode ends sooner
         length = env.episode_length
-        every = shared_reset_interval(length) if config.restart_share else length
+        # (twice in an interval, if the one that it continues began anew after a divergence)
+        every = shared_reset_interval(length) // 2 if config.restart_share else length
         self.truncated_every = None if hasattr(env, "vectorize") else every
         self.axes: tuple[int, ...] = ()
 
@@ -329,14 +329,8 @@ def _starting_file(config: LearnConfig, env: Any, name: str, path: str) -> str |
 
 def _start_from(state: AgentState, policy: Policy) -> AgentState:
     """A new agent that acts, and has seen observations, as a policy did."""
-    count = max(1, int(policy.info.get("env_steps", 1)))
     normalizer: Any = state.normalizer
-    normalizer = normalizer.replace(
-        count=UInt64(hi=jnp.uint32(0), lo=jnp.uint32(count)),
-        mean=policy.mean,
-        summed_variance=policy.std**2 * count,
-        std=policy.std,
-    )
+    normalizer = normalizer.replace(mean=policy.mean, std=policy.std)
     params: Any = state.params
     return replace(state, params=params.replace(policy=policy.weights), normalizer=normalizer)
 

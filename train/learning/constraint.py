@@ -37,7 +37,7 @@ from ..configs import LearnConfig
 from ..errors import ConfigError
 from .advantage import LastObservations, compute_gae, values_of
 from .optimizer import moved
-from .rollout import COMFORT_KEY, Batch, RolloutState, Totals, record_step
+from .rollout import BEYOND, COMFORT_KEY, Batch, RolloutState, Totals, record_step
 
 SHARED = ("cost", "multiplier")
 """Scalars that are the same for all agents: cost of an episode in the update, and the multiplier."""
@@ -238,7 +238,7 @@ def learn_constraint(
         changes, opt_state = optimizer.update(mean(grads), opt_state)
         return (moved(params, changes, rate), opt_state), error
 
-    keys = jax.random.split(jax.random.fold_in(key, 1), config.ppo_epoch)
+    keys = jax.random.split(jax.random.fold_in(key, BEYOND), config.ppo_epoch)
     orders = jax.vmap(lambda key: jax.random.permutation(key, len(target)))(keys)
     rows = orders.reshape(config.ppo_epoch * config.num_mini_batch, -1)
     (params, opt_state), errors = jax.lax.scan(step, (state.params, state.optimizer), rows)

@@ -30,7 +30,7 @@ from agym_jax.wrappers import shared_reset_interval
 from ..envs import is_native
 from ..errors import ConfigError
 from .execution import StepwiseEnv
-from .rollout import REMEMBERED, RESTARTED
+from .rollout import BEYOND, REMEMBERED, RESTARTED, fold_in
 
 COPIES = 8
 """Largest average number of restarts from one episode."""
@@ -86,7 +86,7 @@ class RestartingVectorEnv:
         """Begin an episode in every environment; see ``VectorEnv.reset``."""
         state = self.venv.reset(key)
         zeros = jnp.zeros(self.num_envs)
-        keys = jax.vmap(lambda key: jax.random.fold_in(key, 1))(raw_key(jnp.asarray(state.key)))
+        keys = fold_in(raw_key(jnp.asarray(state.key)), BEYOND)
         remembered = Remembered(self._save(state), zeros, zeros, zeros, keys)
         return self._with(state, remembered, zeros)
 

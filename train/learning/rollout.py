@@ -22,6 +22,8 @@ GENTLE_TOTALS = ("episode/gentle", "episode/peak", "step/force/over_comfort")
 REMEMBERED, RESTARTED = "restarts", "restarted"
 """Entries of ``info`` of environments with restarts: what they remember, which is not recorded, and 1.0 where the present
 episode began in the middle of another (B,)."""
+BEYOND = 0x0E57
+"""Folded into a key of which ``split`` makes others: ``fold_in`` of a small number would be one of these."""
 ACT, ENV_STEP = "act", "env_step"
 """Scopes of the policy and of the environment's step, in the names of operations (``benchmarks.training_profile``)."""
 Totals = dict[str, jax.Array]

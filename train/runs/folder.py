@@ -5,12 +5,11 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import json
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agym_jax.data.npz import check_writable, remove_parts, write_file
+from agym_jax.data.npz import append_line, check_writable, remove_parts, write_file
 from agym_jax.errors import SaveFolderError
 from agym_jax.policy.files import FILE_NAMES
 from agym_jax.policy.policy import Policy, save_policy
@@ -140,13 +139,7 @@ class RunFolder:
         Raises:
             OSError: it cannot be written.
         """
-        size = self.curve.stat().st_size
-        try:
-            with self.curve.open("a") as file:
-                file.write(json.dumps(row) + "\n")
-        except OSError:
-            os.truncate(self.curve, size)
-            raise
+        append_line(self.curve, json.dumps(row))
 
     def draw(self, curve: Sequence[Mapping[str, Any]], title: str) -> None:
         """Draw the curve."""

@@ -5,6 +5,7 @@ A run's folder holds ``config.json``, ``curve.jsonl`` and, once its seeds were m
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -30,15 +31,13 @@ CANDIDATES = "candidates"
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a file of JSON lines; none if it is not there, and without a last one that is half written."""
+    """The rows of a file of JSON lines; none if it is not there, and without those that are half written."""
     if not path.is_file():
         return []
     rows = []
     for line in path.read_text().splitlines():
-        try:
+        with contextlib.suppress(json.JSONDecodeError):
             rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            break
     return rows
 
 
@@ -148,11 +147,6 @@ def selection_of(run: Path) -> dict[str, Any] | None:
     return rows[-1] if rows else None
 
 
-def share(value: float) -> str:
-    """``0.995`` -> ``99.5%``."""
-    return f"{100 * value:.1f}%"
-
-
 HEADINGS = (
     "environment", "seeds x steps", "success of each seed [%]", "worst", "interquartile mean (95 % interval)",
     "best", "chosen seed, over other people", "90 % after", "wall time (training alone)",
@@ -174,7 +168,7 @@ def cells(selection: Mapping[str, Any], training: Mapping[str, Any] | None) -> l
     low, high = selection["success_iqm_low"], selection["success_iqm_high"]
     size, reached, took, gentle = str(len(each)), "", "", ""
     if "chosen_gentle_success" in selection:
-        gentle = f", gently {share(selection['chosen_gentle_success'])}"
+        gentle = f", gently {selection['chosen_gentle_success']:.1%}"
     if training:
         more = (training.get(name) for name in ("candidates", "restart_share"))
         size = seeds_and_steps(len(each), training["num_env_steps"], *more)
@@ -189,10 +183,10 @@ def cells(selection: Mapping[str, Any], training: Mapping[str, Any] | None) -> l
         selection["env"],
         size,
         ", ".join(shown) + (f" ({lost} diverged)" if lost else ""),
-        share(min(each)),
-        f"{share(selection['success_iqm'])} ({share(low)} to {share(high)})",
-        share(max(each)),
-        f"{selection['chosen']}: {share(selection['chosen_success'])}{gentle}",
+        f"{min(each):.1%}",
+        f"{selection['success_iqm']:.1%} ({low:.1%} to {high:.1%})",
+        f"{max(each):.1%}",
+        f"{selection['chosen']}: {selection['chosen_success']:.1%}{gentle}",
         reached,
         took,
     ]

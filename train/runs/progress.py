@@ -100,8 +100,13 @@ class Lines:
         self._latest.begin(total)
 
     def say(self, text: str) -> None:
-        """See ``Progress``."""
-        print(text, flush=True)
+        """See ``Progress``. A line that finds no room is lost: the log may lie on the disk that is full."""
+        try:
+            print(text, flush=True)
+        except BrokenPipeError:  # nobody reads any more
+            raise
+        except OSError:
+            pass
 
     def update(self, row: Mapping[str, Any]) -> None:
         """See ``Progress``."""

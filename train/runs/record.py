@@ -13,6 +13,7 @@ from typing import Any
 import jax
 
 import agym_jax
+from agym_jax.data.npz import append_line
 from agym_jax.wrappers import available_cores
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -94,5 +95,4 @@ def append_record(path: Path | str, line: dict[str, Any]) -> None:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as file:
-        file.write(json.dumps(line, sort_keys=True) + "\n")
+    append_line(path, json.dumps(line, sort_keys=True))

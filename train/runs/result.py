@@ -100,6 +100,14 @@ class TrainResult:
         return next((row for row in reversed(self.curve) if row.get(name) is not None), None)
 
 
+def unsaved(result: TrainResult) -> str:
+    """Say that the end of a run is not on disk."""
+    return (
+        f"SaveFolderError: The end of this run is not on disk: {result.unsaved}. Make room and rerun the same "
+        f"command, which continues from step {result.saved_steps:,}."
+    )
+
+
 def summary(result: TrainResult) -> str:
     """Summarise the result in one line, and say where the files are."""
 

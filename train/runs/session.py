@@ -48,7 +48,7 @@ from .manager import CheckpointManager, Policies
 from .overview import CANDIDATES
 from .progress import Progress, Silent, for_terminal
 from .record import commit
-from .result import SeedResult, TrainResult, summary
+from .result import SeedResult, TrainResult, summary, unsaved
 
 SAVE_PERIOD = 60.0  # seconds after which a checkpoint is due at the next log line
 GPU_OPTIONS = {"xla_gpu_enable_triton_gemm": False}
@@ -255,8 +255,14 @@ class _Session:
                     since_save, last_save = 0, time.perf_counter()
         except KeyboardInterrupt:
             interrupted = True
-            if env_steps > manager.saved_steps:
-                manager.save(learner, time.perf_counter() - start)
+            try:
+                if env_steps > manager.saved_steps:
+                    manager.save(learner, time.perf_counter() - start)
+            except (
+                KeyboardInterrupt
+            ):  # of two at once, SIGINT and SIGTERM, as when a suite is stopped
+                if env_steps > manager.saved_steps:
+                    manager.save(learner, time.perf_counter() - start)
         finally:
             progress.stop()
         train_seconds = time.perf_counter() - start
@@ -289,9 +295,7 @@ class _Session:
             own.prepare(fresh=False)
         wait_for_hosts("candidates")
         until, say = self.config.candidates_until, self.progress.say
-        say(
-            f"Training {len(lanes)} candidates; after {until:.0%} of the steps, one of each seed continues."
-        )
+        say(f"Training {len(lanes)} candidates; after {until:.0%}, one of each seed continues.")
         return self.run(lanes, own, Loggers((), None, say), until)
 
 
@@ -335,8 +339,8 @@ def _lower_and_compile(
     return compile_together(update, reset, options=options)
 
 
-def _on_terminate(*_: Any) -> None:
-    # once: Linux tells a child of each thread of its parent that dies, and the state is being saved
+def on_terminate(*_: Any) -> None:
+    """Handle SIGTERM as Ctrl-C, once: Linux tells a child of each thread of its parent that dies, and the state is being saved."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise KeyboardInterrupt
 
@@ -364,7 +368,7 @@ def command_line(
     try:
         helps = {"-h", "--help"} & {*words}  # it shows the defaults of this machine
         config = parse_arguments(words, kind, prog, jax.default_backend() if helps else "gpu")
-        signal.signal(signal.SIGTERM, _on_terminate)
+        signal.signal(signal.SIGTERM, on_terminate)
         if make is make_env:
             parse(config.env_name)  # a name that does not exist leaves nothing in the folder
         check_loggers(config.logger, config.save_dir)
@@ -386,11 +390,7 @@ def command_line(
     if jax.process_index() == 0:
         print(summary(result))
     if result.unsaved:
-        print(
-            f"SaveFolderError: The end of this run is not on disk: {result.unsaved}. Make room and rerun the same "
-            f"command, which continues from step {result.saved_steps:,}.",
-            file=sys.stderr,
-        )
+        print(unsaved(result), file=sys.stderr)
         return 2
     if result.interrupted:
         without = " without --fresh" if config.fresh else ""

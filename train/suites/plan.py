@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from agym_jax.errors import UnknownNameError, checked_count
-from agym_jax.flags import Count
+from agym_jax.flags import Count, parse_count
 from agym_jax.registry import parse
 from agym_jax.spec import Measured
 
@@ -135,8 +135,14 @@ def check_entries(config: SuiteConfig, ids: Sequence[str]) -> None:
         ConfigError: if an entry is not of its form.
         UnknownNameError: if no id begins with the NAME of an entry.
     """
-    flags = flags_by_name(config)
-    for start in (*steps_by_name(config), *flags):
+    flags, steps = flags_by_name(config), steps_by_name(config)
+    for name, text in steps.items():
+        try:
+            count = parse_count(text)
+        except ValueError as error:
+            raise ConfigError(f"--steps {name}={text}: {error}.") from None
+        checked_count(f"--steps {name}", count)
+    for start in (*steps, *flags):
         if not any(name.startswith(start) for name in ids):
             raise UnknownNameError("environment", start, ids)
     known = set().union(*map(measures_of, ids))

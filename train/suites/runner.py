@@ -15,6 +15,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from agym_jax.changes import flags_of
+from agym_jax.data.npz import append_line
 from agym_jax.memory import MEMORY
 from agym_jax.policy.check import meant_for
 from agym_jax.policy.files import run_file
@@ -97,6 +98,9 @@ class Runner:
         start, gpu = time.perf_counter(), self.slots.get()
         try:
             outcome = self._one(env_name, gpu, start)
+        except OSError as error:  # such as a full disk; the other environments go on
+            problem = f"{type(error).__name__}: {error}"
+            outcome = Outcome(env_name, None, time.perf_counter() - start, problem)
         finally:
             self.slots.put(gpu)
         if outcome.line and self.config.clips and not self.children.stopping:
@@ -189,8 +193,8 @@ class Runner:
             self._note({**about, "seconds": seconds, "status": None})
 
     def _note(self, row: Mapping[str, Any]) -> None:
-        with self._lock, (Path(self.config.save_dir) / JOURNAL).open("a") as file:
-            print(json.dumps(row), file=file, flush=True)
+        with self._lock:
+            append_line(Path(self.config.save_dir) / JOURNAL, json.dumps(row))
 
 
 def _line(words: Sequence[str]) -> str:

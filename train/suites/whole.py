@@ -46,7 +46,8 @@ class Whole:
         for folder in (run, run / CANDIDATES):
             if rows := read_rows(folder / "curve.jsonl"):
                 total = json.loads((folder / "config.json").read_text())["config"]["num_env_steps"]
-                return TRAINING * min(1.0, rows[-1]["env_steps"] / total)
+                whole = TRAINING if self.config.num_seeds > 1 else 1.0  # one seed is not measured
+                return whole * min(1.0, rows[-1]["env_steps"] / total)
         return 0.0
 
     def share(self) -> float:

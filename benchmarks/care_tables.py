@@ -202,8 +202,11 @@ def _worst(line: Line, count: int = 3, share: float = 0.02) -> list[dict[str, An
 
 
 def endings(folder: Path = RESULTS) -> str:
-    """How the episodes end that fail."""
-    lines = read_results("endings", ("env",), folder)
+    """How the episodes end that fail, in the newest evaluation of each environment that tells."""
+    own = read_results("endings", ("env",), folder)
+    evaluated = read_results("evaluation", ("env", "policy"), folder)
+    told = [*own, *(x for x in evaluated if x["policy"] == "mode" and "failures" in x)]
+    lines = list({x["env"]: x for x in sorted(told, key=itemgetter("time"))}.values())
     columns = {
         "environment": ORDER,
         "episodes": lambda x: f"{x['episodes']:,}",

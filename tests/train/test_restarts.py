@@ -19,7 +19,7 @@ from train.learning import restarts
 from train.learning.agents import Agents
 from train.learning.execution import StepwiseEnv
 from train.learning.restarts import COPIES, RestartingVectorEnv, choose_sources
-from train.learning.rollout import REMEMBERED, RESTARTED, collect, init_rollout
+from train.learning.rollout import BEYOND, REMEMBERED, RESTARTED, collect, fold_in, init_rollout
 from train.runs.session import resolve_config
 
 N = 256
@@ -218,3 +218,10 @@ def test_an_environment_whose_step_is_compiled_is_refused():
         resolve_config(FakeEnv(), dataclasses.replace(CONFIG, stagger=False))
     with pytest.raises(ConfigError, match="restart_share must be between 0 and 1, got 2"):
         dataclasses.replace(CONFIG, restart_share=2)
+
+
+def test_no_key_that_an_environment_or_an_epoch_splits_off_is_used_again():
+    key = jax.random.PRNGKey(3)
+    others = np.asarray(jax.random.split(key, 1000))
+    assert (others == np.asarray(fold_in(key, 1))).all(1).any()  # why not a small number
+    assert not (others == np.asarray(fold_in(key, BEYOND))).all(1).any()

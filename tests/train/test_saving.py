@@ -171,13 +171,19 @@ def test_what_a_killed_process_left_half_written_hides_nothing(tmp_path):
     assert read_rows(file) == [{"a": 1}, {"a": 3}, {"a": 4}]
 
 
-def test_progress_on_a_full_disk_is_lost_and_nothing_else(monkeypatch):
+def test_progress_on_a_full_disk_ends_nothing_and_is_told(monkeypatch):
     class Full(io.StringIO):
         def write(self, text):
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("sys.stdout", Full())
-    Lines().say("1,000 steps")
+    lines = Lines()
+    for text, stream in (("1,000 steps", Full()), ("2,000 steps", io.StringIO())):
+        monkeypatch.setattr("sys.stdout", stream)
+        lines.say(text)
+    lines.say("3,000 steps")
+    told = stream.getvalue().splitlines()
+    assert told[0].startswith("Lines may be missing before this one: ")
+    assert "No space left on device" in told[0] and told[1:] == ["2,000 steps", "3,000 steps"]
 
 
 def test_two_interrupts_at_once_save_as_one_does(tmp_path, monkeypatch):

@@ -312,6 +312,18 @@ def test_one_seed_is_finished_when_it_is_trained(tmp_path):
     assert "1 of 1 finished" in Whole(config, [run.name]).words()
 
 
+def test_a_full_disk_ends_one_environment_and_not_the_others(tmp_path, monkeypatch):
+    def one(self, env_name, gpu, start):
+        if env_name == "A-v0":
+            raise OSError(28, "No space left on device")
+        return runners.Outcome(env_name, None, 0.0)
+
+    monkeypatch.setattr(Runner, "_one", one)
+    runner = Runner(SuiteConfig(save_dir=str(tmp_path)), ())
+    problems = {x.env_name: x.problem for x in runner.all(["A-v0", "B-v0"])}
+    assert "No space left on device" in problems["A-v0"] and not problems["B-v0"]
+
+
 def test_gpus(monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,6,7")
     assert children.visible_gpus() == ["4", "6", "7"] and children.visible_gpus(2) == ["4", "6"]

@@ -94,19 +94,24 @@ class Lines:
     def __init__(self, period: float = LINE_PERIOD) -> None:
         self._latest = _Latest()
         self._period, self._next = period, 0.0
+        self._trouble: OSError | None = None  # why the last line was not written
 
     def start(self, done: int, total: int) -> None:
         """See ``Progress``."""
         self._latest.begin(total)
 
     def say(self, text: str) -> None:
-        """See ``Progress``. A line that finds no room is lost: the log may lie on the disk that is full."""
+        """See ``Progress``. Where the log lies on a disk that is full, the next line that finds room says so."""
+        reason = (
+            f"Lines may be missing before this one: {self._trouble}.\n" if self._trouble else ""
+        )
         try:
-            print(text, flush=True)
+            print(f"{reason}{text}", flush=True)
+            self._trouble = None
         except BrokenPipeError:  # nobody reads any more
             raise
-        except OSError:
-            pass
+        except OSError as error:
+            self._trouble = error
 
     def update(self, row: Mapping[str, Any]) -> None:
         """See ``Progress``."""

@@ -258,9 +258,7 @@ class _Session:
             try:
                 if env_steps > manager.saved_steps:
                     manager.save(learner, time.perf_counter() - start)
-            except (
-                KeyboardInterrupt
-            ):  # of two at once, SIGINT and SIGTERM, as when a suite is stopped
+            except KeyboardInterrupt:  # SIGINT and SIGTERM at once, as when a suite is stopped
                 if env_steps > manager.saved_steps:
                     manager.save(learner, time.perf_counter() - start)
         finally:
@@ -295,7 +293,9 @@ class _Session:
             own.prepare(fresh=False)
         wait_for_hosts("candidates")
         until, say = self.config.candidates_until, self.progress.say
-        say(f"Training {len(lanes)} candidates; after {until:.0%}, one of each seed continues.")
+        say(
+            f"Training {len(lanes)} candidates; after {until:.0%} of the steps, one of each seed continues."
+        )
         return self.run(lanes, own, Loggers((), None, say), until)
 
 
